@@ -1,0 +1,43 @@
+# Every target sets up what it needs first: the stamp stands for a virtual environment with the pinned packages.
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+
+# Workers share the cores; threads inside each of them would only fight over them.
+export OMP_NUM_THREADS := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow check bench clean
+
+help: ## Print this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(STAMP) ## From planner to demonstrations on the Can task; ARGS="--budget 5m" and so on are passed on
+	$(BIN)/dynaforge forge --task can $(ARGS)
+
+test: $(STAMP) ## Run the default test suite (under three minutes on two cores)
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+test-slow: $(STAMP) ## Run the tests that take longer
+	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800 $(ARGS)
+
+check: $(STAMP) ## Lint, formatting, types and the direction of imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP) ## Measure speed against the bare simulator
+	$(BIN)/dynaforge bench $(ARGS)
+
+clean: ## Remove the virtual environment, builds and caches; results, runs, logs and data stay
+	rm -rf .venv build dist dynaforge.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find dynaforge assets zoo_configs tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# An existing environment is kept if its pip works; an interrupted install leaves no stamp and is taken up again.
+$(STAMP): setup.cfg pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,dev]"
+	@touch $(STAMP)

@@ -1,0 +1,1 @@
+"""Objects and fixtures as URDF; shipped policies. Installs as `dynaforge.assets`."""

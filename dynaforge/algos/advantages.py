@@ -1,0 +1,117 @@
+"""The mathematics of FrontierGRPO: returns, advantages, the frontier filter and the clipped loss (Eq. 6-9)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch as th
+from numpy.typing import ArrayLike, NDArray
+
+from dynaforge.algos.options import ADVANTAGE_SCALES, GROUP_FILTERS, check_choice
+from dynaforge.geometry import Array
+
+RETURN_TOLERANCE = 1e-9  # Differences below this are rounding of reward sums, not outcomes.
+
+
+def episodic_return(success: ArrayLike, checkpoint: ArrayLike, n_checkpoints: int) -> Array:
+    """Score an episode once, at its end: 1 for success, else the share of checkpoints reached.
+
+    Eq. 6: R = y + (1 - y) c / C. Success itself is the C-th checkpoint, so a failure has c < C and never earns 1.
+
+    Args:
+        success: Terminal success y, any shape.
+        checkpoint: Furthest validated checkpoint c in {0..C}, same shape.
+        n_checkpoints: C.
+
+    Raises:
+        ValueError: C < 1, a checkpoint outside 0..C, or a failure that claims the C-th checkpoint.
+    """
+    y, c = np.asarray(success, dtype=bool), np.asarray(checkpoint)
+    if n_checkpoints < 1:
+        raise ValueError(f"n_checkpoints is {n_checkpoints}; a task has at least one, success itself.")
+    if np.any((c < 0) | (c > n_checkpoints)):
+        raise ValueError(f"Checkpoints must lie in 0..{n_checkpoints}; given {c.tolist()}.")
+    if np.any(~y & (c == n_checkpoints)):
+        raise ValueError(
+            f"A failed episode claims checkpoint {n_checkpoints} of {n_checkpoints}, which is success itself."
+        )
+    return np.where(y, 1.0, c / n_checkpoints)
+
+
+def group_advantages(returns: Array, *, scale: str = "group", eps: float = 1e-4) -> Array:
+    """Compare each rollout with the other rollouts of its condition.
+
+    Eq. 7. The paper leaves the standard deviation open; this is the sample one (ddof=1), as common GRPO
+    implementations use, and equal returns give exact zeros.
+
+    Args:
+        returns: Episodic returns, shape (N, K).
+        scale: "group" divides by the group's deviation (the paper), "batch" by that of all centred returns
+            given here, "none" only centres.
+        eps: Added to the deviation: keeps float noise from becoming an advantage.
+
+    Returns:
+        Advantages, shape (N, K); each row has mean zero.
+
+    Raises:
+        ValueError: K < 2, since a lone rollout has nothing to be compared with; or an unknown scale.
+    """
+    check_choice("scale_advantage", scale, ADVANTAGE_SCALES)
+    if returns.ndim != 2 or returns.shape[1] < 2:
+        raise ValueError(f"Returns must have shape (N, K) with K >= 2 rollouts a group; given {returns.shape}.")
+    equal = np.ptp(returns, axis=1, keepdims=True) <= RETURN_TOLERANCE
+    centred = np.where(equal, 0.0, returns - returns.mean(axis=1, keepdims=True))
+    if scale == "none" or centred.size == 0:
+        return centred
+    deviation = centred.std(axis=1, ddof=1, keepdims=True) if scale == "group" else centred.std(ddof=1)
+    return np.asarray(centred / (deviation + eps))
+
+
+def frontier_mask(
+    success: NDArray[np.bool_], returns: Array, *, group_filter: str = "mixed_success"
+) -> NDArray[np.bool_]:
+    """Say which groups take part in the update.
+
+    Eq. 8: keep a group when some of its rollouts succeeded and some failed. The filter reads success, not
+    return: an all-failure group with unequal progress is dropped.
+
+    Args:
+        success: Terminal success, shape (N, K).
+        returns: Episodic returns, shape (N, K); read by "mixed_return" only.
+        group_filter: "mixed_success" (the paper), "mixed_return" (any difference in return, for envs without a
+            success signal), or "none" (vanilla GRPO: all groups).
+
+    Returns:
+        True for kept groups, shape (N,).
+
+    Raises:
+        ValueError: Unknown filter.
+    """
+    check_choice("group_filter", group_filter, GROUP_FILTERS)
+    if group_filter == "none":
+        return np.ones(len(returns), dtype=bool)
+    if group_filter == "mixed_return":
+        return np.asarray(np.ptp(returns, axis=1) > RETURN_TOLERANCE)
+    return np.asarray(success.any(axis=1) & ~success.all(axis=1))
+
+
+def clipped_surrogate(
+    log_prob: th.Tensor, old_log_prob: th.Tensor, advantages: th.Tensor, *, clip_low: float, clip_high: float
+) -> th.Tensor:
+    """Loss of each transition: -min(rho A, clip(rho, 1 - clip_low, 1 + clip_high) A).
+
+    Eq. 9 before the mean. The paper takes DAPO's asymmetric pair, 0.20 and 0.28: the wider upper side lets a
+    rare good action gain probability faster.
+
+    Args:
+        log_prob: Under the policy being trained, shape (n,).
+        old_log_prob: Under the policy that acted, shape (n,).
+        advantages: Of the transition's episode, shape (n,).
+        clip_low: How far the ratio may fall below 1.
+        clip_high: How far it may rise above 1.
+
+    Returns:
+        Losses, shape (n,), not yet averaged.
+    """
+    ratio = th.exp(log_prob - old_log_prob)
+    clipped = ratio.clamp(1.0 - clip_low, 1.0 + clip_high)
+    return -th.minimum(ratio * advantages, clipped * advantages)

@@ -1,0 +1,233 @@
+"""`dynaforge forge`: from nothing to demonstrations."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from dynaforge.cli.film import film_clips
+from dynaforge.cli.training import History, TrainingMonitor, build_model, hyperparameters, training_env
+from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
+from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, frontier_of_outcomes, paired_difference
+from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.reports import (
+    ReportData,
+    ReportFigure,
+    dgr_by_difficulty,
+    failure_bars,
+    learning_curve,
+    stratum_heatmap,
+    write_report,
+)
+from dynaforge.sim import Condition
+from dynaforge.tasks import TASK_NAMES, Task, get_task
+
+MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
+PACKAGES = ("dynaforge", "stable-baselines3", "torch", "numpy", "pybullet", "pin", "toppra", "ruckig")
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `forge`."""
+    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}")
+    parser.add_argument("--budget", type=float, default=12.0, help="minutes of wall time for everything")
+    parser.add_argument("--updates", type=int, help="stop training after so many updates, even if time is left")
+    parser.add_argument("--demos", type=int, default=50, help="successful demonstrations to collect")
+    parser.add_argument("--attempts", type=int, default=100, help="fresh conditions of each measurement")
+    parser.add_argument("--seed", type=int, default=0, help="training seed")
+    parser.add_argument("--algo", default="frontier_grpo", help="which file of zoo_configs to train with")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, help="new or empty folder; by default the next free runs/TASK-N")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Forge demonstrations; see the module's description."""
+    started = time.monotonic()
+    task = get_task(options.task)
+    _check(options)
+    hyperparameters(options.algo, task.name)
+    out = _new_folder(options.out, task.name)
+
+    print(f"[1/5] the planner alone, {options.attempts} fresh conditions")
+    before = _measure(task, PlannerOnly(), islice(task.conditions.stream("val"), options.attempts), options.workers)
+    print(f"      it wins {np.mean([a.success for a in before]):.0%}")
+
+    seconds = 60 * options.budget * (1 - MEASURING_SHARE) - (time.monotonic() - started)
+    print(f"[2/5] training the residual with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
+    trained = train(task, options, out, seconds)
+    if trained.interrupted:
+        print(f"interrupted after {len(trained.history.success)} updates; the policy is in {out / 'policy.safetensors'}")
+        return 130
+
+    print(f"[3/5] planner and residual on {options.attempts} other fresh conditions")
+    residual = ResidualGenerator(trained.policy, policy_hash=trained.policy.digest)
+    fresh = list(islice(task.conditions.stream("test"), options.attempts))
+    pair = [_measure(task, generator, fresh, options.workers) for generator in (PlannerOnly(), residual)]
+    paired = paired_difference(*[[a.success for a in attempts] for attempts in pair])
+    reports = [_report(task, attempts) for attempts in pair]
+
+    print(f"[4/5] collecting {options.demos} demonstrations")
+    dataset = _collect(task, residual, out / "demos", options)
+
+    print("[5/5] writing the report")
+    _write(out, task, options, trained.history, reports, paired, pair[1])
+    print()
+    print(comparison_table(reports, paired=paired))
+    print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
+    print(f"policy  {out / 'policy.safetensors'}")
+    print(f"report  {out / 'report.html'}")
+    print(f"took {(time.monotonic() - started) / 60:.1f} minutes")
+    return 0
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What `train` returns."""
+
+    policy: Any
+    history: History
+    interrupted: bool
+
+
+def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) -> Trained:
+    """Train until the time or the updates are up; Ctrl-C saves the policy first."""
+    from dynaforge.algos.policy_file import MlpPolicyFile
+
+    settings = hyperparameters(options.algo, task.name)
+    env = training_env(task.name, settings.get("n_envs", 32), n_workers=options.workers)
+    history, interrupted = History(), False
+    try:
+        model = build_model(task.name, env, algo=options.algo, seed=options.seed)
+        monitor = TrainingMonitor(history, seconds=seconds, updates=options.updates)
+        try:
+            model.learn(10**12, callback=monitor)
+        except KeyboardInterrupt:
+            interrupted = True
+        meta = {"algo": options.algo, "seed": options.seed, "updates": len(history.success), "versions": _versions()}
+        policy = MlpPolicyFile.of(model, task=task.name, meta=meta)
+        policy.save(out / "policy.safetensors")
+        model.save(out / "model")
+        _save_history(out / "history.json", history, model.optimizer_steps, model.transitions_used)
+    finally:
+        env.close()
+    return Trained(policy, history, interrupted)
+
+
+def _check(options: argparse.Namespace) -> None:
+    for name, least in (("budget", 1), ("demos", 1), ("attempts", 1), ("workers", 1)):
+        if getattr(options, name) < least:
+            raise ValueError(f"--{name} is {getattr(options, name):g}; it must be at least {least}.")
+
+
+def _new_folder(asked: Path | None, task: str) -> Path:
+    if asked is None:
+        number = 1
+        while (asked := Path("runs") / f"{task}-{number}").exists():
+            number += 1
+    try:
+        asked.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {asked} cannot be made: {error.strerror}. Choose another folder.") from error
+    if any(asked.iterdir()):
+        raise ValueError(f"--out {asked} holds other data. Choose a new or empty folder.")
+    check_writable(asked)
+    return asked
+
+
+def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:
+    conditions = list(conditions)
+    results = run_attempts(task.name, generator, conditions, workers=workers)
+    return [r.attempt for r in tqdm(results, total=len(conditions), leave=False, unit="attempt", desc=generator.name)]
+
+
+def _report(task: Task, attempts: list[Attempt]) -> DgrReport:
+    label = {"planner_only": "planner only", "residual": "with residual"}[attempts[0].generator]
+    return DgrReport.from_attempts(attempts, difficulty_range=task.conditions.difficulty_range, label=label)
+
+
+def _collect(task: Task, generator: Generator, folder: Path, options: argparse.Namespace) -> DemonstrationDataset:
+    dataset = DemonstrationDataset(folder, task=task.name)
+    kept, limit = 0, 20 * options.demos
+    bar = tqdm(total=options.demos, leave=False, unit="demo")
+    conditions = islice(task.conditions.stream("train"), limit)
+    for result in run_attempts(task.name, generator, conditions, workers=options.workers, stop=lambda: kept >= options.demos):
+        if result.episode is None:
+            dataset.record(result.attempt)
+        else:
+            dataset.add(result.episode, wall_seconds=result.attempt.wall_seconds)
+        kept += result.attempt.success
+        bar.update(int(result.attempt.success))
+    bar.close()
+    if kept < options.demos:
+        print(f"      only {kept} of {limit} attempts succeeded: train longer (--budget)")
+    return dataset
+
+
+def _write(
+    out: Path, task: Task, options: argparse.Namespace, history: History, reports: list[DgrReport],
+    paired: PairedDifference, attempts: list[Attempt],
+) -> None:  # fmt: skip
+    command = shlex.join(["dynaforge", *sys.argv[1:]])
+    result = {
+        "command": command, "task": task.name, "algo": options.algo, "seed": options.seed, "versions": _versions(),
+        "updates": len(history.success), "reports": [r.to_dict() for r in reports],
+        "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
+    }  # fmt: skip
+    atomic_write(out / "result.json", json.dumps(result, indent=2).encode())
+    figures = [ReportFigure("Success by difficulty", "Wilson 95 % intervals.", dgr_by_difficulty(reports))]
+    figures.append(ReportFigure("Why attempts failed", "Attempts lost to each reason.", failure_bars(reports)))
+    if len(history.success) > 1:
+        curve = learning_curve(
+            {options.algo: history.rates().mean(axis=1)}, planner_only=reports[0].mean, final=reports[1].mean
+        )
+        heatmap = stratum_heatmap(frontier_of_outcomes(np.array(history.success)))
+        figures = [
+            ReportFigure("Learning curve", "Success of exploring rollouts; trailing 20-update mean.", curve),
+            ReportFigure("Success by stratum over updates", "Red: the competence frontier.", heatmap),
+            *figures,
+        ]
+    write_report(
+        out / "report.html",
+        ReportData(
+            title=f"{task.env_name}: demonstrations forged",
+            task=task.name,
+            command=command,
+            date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            seeds={"training seed": options.seed, "conditions": "stream test, block 0"},
+            versions=_versions(),
+            reports=reports,
+            paired=paired,
+            figures=figures,
+            clips=film_clips(task, out / "policy.safetensors", attempts),
+            attempts=attempts,
+        ),
+    )
+
+
+def _save_history(path: Path, history: History, optimizer_steps: int, transitions_used: int) -> None:
+    data = {
+        "success": [np.asarray(s).astype(int).tolist() for s in history.success],
+        "seconds": history.seconds,
+        "timesteps": history.timesteps,
+        "optimizer_steps": history.optimizer_steps,
+        "total_optimizer_steps": optimizer_steps,
+        "transitions_used": transitions_used,
+    }
+    atomic_write(path, json.dumps(data).encode())
+
+
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in PACKAGES}

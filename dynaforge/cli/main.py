@@ -1,0 +1,60 @@
+"""The `dynaforge` command."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+COMMANDS = {
+    "forge": "from nothing to demonstrations: measure the prior, train, measure again, collect, report",
+    "list": "the tasks",
+    "describe": "one task: motion, randomisation, phases, success",
+    "evaluate": "demonstration generation rate of a generator on stored condition streams",
+    "bench": "the project's figures: speed, determinism, limits",
+    "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
+    "enjoy": "rl_zoo3's enjoy",
+}
+ZOO = ("train", "enjoy")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit status.
+
+    A user's mistake ends in one line on stderr and status 2, before any long work.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments and arguments[0] in ZOO:
+        from dynaforge.cli.zoo import main as zoo
+
+        return zoo(arguments)
+    name = arguments[0] if arguments else ""
+    if name not in COMMANDS:
+        return _overview(name)
+    module = import_module(f"dynaforge.cli.{name.replace('list', 'describe')}")
+    parser = argparse.ArgumentParser(
+        prog=f"dynaforge {name}", description=COMMANDS[name], formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    module.add_arguments(parser, name)
+    options = parser.parse_args(arguments[1:])
+    try:
+        return int(module.run(options))
+    except (ValueError, OSError, ImportError) as error:
+        print(f"dynaforge {name}: {error}", file=sys.stderr)
+        return 2
+
+
+def _overview(name: str) -> int:
+    asked = name in ("-h", "--help", "")
+    if not asked:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        print(f"dynaforge: no command {name!r}.{hint} `dynaforge --help` lists them.", file=sys.stderr)
+        return 2
+    print("usage: dynaforge COMMAND [--help]\n")
+    for command, text in COMMANDS.items():
+        print(f"  {command:<9} {text}")
+    print("\nFirst steps: `dynaforge forge --task can` (about 15 minutes), or `dynaforge list`.")
+    return 0

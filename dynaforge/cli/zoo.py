@@ -1,0 +1,178 @@
+"""rl_zoo3 with FrontierGRPO and the DynaForge envs registered: what `dynaforge train` and `dynaforge enjoy` run.
+
+Flags, log folders and output are rl_zoo3's own; a run ends in `logs/<algo>/<env>_<run>/` unless `-f` says otherwise.
+What is added: the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list
+the env, worker processes for the DynaForge envs unless `--vec-env` is given, and `--trusted`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ALGORITHMS = ("frontier_grpo", "grpo")
+"""Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
+
+NET_ARCHS = {"small": [64, 64], "medium": [256, 256]}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run rl_zoo3's `train` or `enjoy` on arguments as the shell gives them, by default those of this process.
+
+    Raises:
+        SystemExit: An unknown script, env, algorithm or configuration file, an untrusted checkpoint, or no rl_zoo3;
+            its message is one line.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] not in ("train", "enjoy"):
+        given = repr(arguments[0]) if arguments else "nothing"
+        raise SystemExit(f"dynaforge: expected 'train' or 'enjoy' and its flags, was given {given}")
+    script, *flags = arguments
+    asked = _parse(script, flags)
+    flags = [flag for flag in flags if flag != "--trusted"]
+    if not asked.help:
+        _check_files(script, asked)
+    register_with_zoo()
+    if not asked.help:
+        _check_names(asked)
+        if script == "train" and asked.conf_file is None and (config := config_file(asked.algo, asked.env)) is not None:
+            flags += ["--conf-file", str(config)]
+    with _zoo_process(script, flags, own_vec_env=asked.env.startswith("DynaForge/") and asked.vec_env is None):
+        _run(script)
+    return 0
+
+
+def register_with_zoo() -> None:
+    """Make FrontierGRPO known to rl_zoo3, for training, loading and hyperparameter search.
+
+    rl_zoo3 imports its dictionaries by name in several modules: they are changed in place, never replaced.
+
+    Raises:
+        SystemExit: rl_zoo3, or what its tools need, is not installed.
+    """
+    try:
+        from rl_zoo3 import ALGOS
+        from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
+    except ModuleNotFoundError as error:
+        raise SystemExit(
+            f"dynaforge: train and enjoy need {error.name}, missing here; pip install 'dynaforge[zoo]'"
+        ) from error
+    from dynaforge.algos import FrontierGRPO
+
+    for name in ALGORITHMS:
+        ALGOS[name] = FrontierGRPO
+        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters
+        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters
+
+
+def config_file(algo: str, env_id: str) -> Path | None:
+    """Return the installed hyperparameter file of an algorithm, or None where rl_zoo3's own is the better choice.
+
+    Ours are taken when they list the env, or a default for all envs; rl_zoo3 has files of its own for PPO and the like.
+    """
+    path = Path(str(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml")))
+    if not path.is_file():
+        return None
+    listed = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return path if env_id in listed or "default" in listed else None
+
+
+def sample_hyperparameters(trial: Any, n_actions: int, n_envs: int, additional_args: dict[str, Any]) -> dict[str, Any]:
+    """Sample the options of FrontierGRPO for an Optuna trial, as rl_zoo3's samplers do."""
+    return convert_hyperparameters(
+        {
+            "learning_rate": trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True),
+            "n_epochs": trial.suggest_categorical("n_epochs", [1, 2, 4]),
+            "group_size": trial.suggest_categorical("group_size", [4, 8, 16]),
+            "max_grad_norm": trial.suggest_float("max_grad_norm", 0.3, 2.0),
+            "sigma": trial.suggest_float("sigma", 0.1, 0.5, log=True),
+            "net_arch": trial.suggest_categorical("net_arch", sorted(NET_ARCHS)),
+        }
+    )
+
+
+def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
+    """Turn sampled values into constructor arguments: sigma and net_arch belong to the policy."""
+    options = dict(sampled)
+    policy = {"log_std_init": math.log(options.pop("sigma")), "net_arch": NET_ARCHS[options.pop("net_arch")]}
+    return {**options, "policy_kwargs": policy}
+
+
+def _parse(script: str, flags: list[str]) -> argparse.Namespace:
+    """Read the flags that matter here; rl_zoo3 parses all of them again, with its own defaults and help."""
+    parser = argparse.ArgumentParser(prog=f"dynaforge {script}", add_help=False)
+    parser.add_argument("--algo", default="ppo")
+    parser.add_argument("--env", default="CartPole-v1")
+    parser.add_argument("--vec-env")
+    parser.add_argument("--gym-packages", nargs="+", default=[])
+    parser.add_argument("--trusted", action="store_true")
+    parser.add_argument("-h", "--help", action="store_true")
+    if script == "train":
+        parser.add_argument("-conf", "--conf-file")
+        parser.add_argument("-i", "--trained-agent", default="")
+    else:
+        parser.set_defaults(conf_file=None, trained_agent="")
+    return parser.parse_known_args(flags)[0]
+
+
+def _check_files(script: str, asked: argparse.Namespace) -> None:
+    """Refuse a missing configuration, and to load an SB3 checkpoint unasked: unpickling runs what its author put in."""
+    conf = asked.conf_file
+    if conf is not None and conf.endswith((".yml", ".yaml", ".py")) and not Path(conf).is_file():
+        raise SystemExit(f"dynaforge train: no hyperparameter file {conf!r}; leave -conf out for the installed one")
+    if (script == "enjoy" or asked.trained_agent) and not asked.trusted:
+        what = asked.trained_agent or "an rl_zoo3 checkpoint"
+        raise SystemExit(
+            f"dynaforge {script}: loading {what} can run code stored in it; add --trusted if it is your own"
+        )
+
+
+def _check_names(asked: argparse.Namespace) -> None:
+    """Refuse an unknown algorithm or env; envs that `--gym-packages` will register later are left to rl_zoo3."""
+    import gymnasium as gym
+    from rl_zoo3 import ALGOS
+
+    for kind, given, valid in (("algorithm", asked.algo, ALGOS), ("env", asked.env, gym.envs.registry)):
+        if given in valid or (kind == "env" and asked.gym_packages):
+            continue
+        close = difflib.get_close_matches(given, valid, n=1, cutoff=0.5)
+        hint = f" Did you mean {close[0]!r}?" if close else ""
+        raise SystemExit(f"dynaforge: no {kind} {given!r}.{hint}")
+
+
+@contextmanager
+def _zoo_process(script: str, flags: list[str], *, own_vec_env: bool) -> Iterator[None]:
+    """Arrange what rl_zoo3 reads from the process, for as long as it runs: `sys.argv` and the class of its vec envs."""
+    from rl_zoo3.exp_manager import ExperimentManager
+
+    from dynaforge.envs.vector_env import SharedMemoryVecEnv
+
+    previous = sys.argv, ExperimentManager.default_vec_env_cls
+    sys.argv = [f"dynaforge {script}", *flags]
+    if own_vec_env and script == "train":
+        ExperimentManager.default_vec_env_cls = SharedMemoryVecEnv
+    try:
+        yield
+    finally:
+        sys.argv, ExperimentManager.default_vec_env_cls = previous
+
+
+def _run(script: str) -> None:
+    """Run one of rl_zoo3's scripts, imported only now since each takes a while."""
+    if script == "train":
+        from rl_zoo3.train import train
+
+        train()
+    else:
+        from rl_zoo3.enjoy import enjoy
+
+        enjoy()

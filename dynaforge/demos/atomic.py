@@ -1,0 +1,109 @@
+"""Files that are whole or absent: the one place for "temporary name, fsync, rename"."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+_TEMPORARY = ".tmp"
+
+
+def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> None:
+    """Put a file in place in one step: a reader, or a kill at any instant, sees the old file or the new one.
+
+    The content goes to a hidden temporary name in the same folder, is forced to disk, takes the final name by a
+    rename, and the folder is forced to disk too. When anything fails the temporary file is removed.
+
+    Args:
+        path: Final name. Its folder must exist.
+        content: The bytes, or a function that writes the whole file at the temporary path it is given. That path
+            ends in the final suffix (`.zip`, `.h5`), for libraries that choose a format or append one by it.
+
+    Raises:
+        OSError: The folder is missing or not writable, or the disk is full.
+    """
+    final = Path(path)
+    temporary = final.with_name(f".{uuid.uuid4().hex}{_TEMPORARY}{final.suffix}")
+    try:
+        if callable(content):
+            content(temporary)
+            _sync(temporary, os.O_RDWR)
+        else:
+            _write_bytes(temporary, content)
+        os.replace(temporary, final)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync_folder(final.parent)
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    # Plain O_CREAT and not mkstemp: the file keeps the umask, so that a shared folder stays shared.
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        view = memoryview(content)
+        while view:
+            view = view[os.write(descriptor, view) :]
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync(path: Path, flags: int) -> None:
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: str | Path) -> None:
+    """Force the names in a folder to disk, so that a rename outlives a power cut."""
+    if os.name == "posix":  # Windows cannot open a folder, and needs no such step.
+        _sync(Path(folder), os.O_RDONLY)
+
+
+def is_temporary(path: str | Path) -> bool:
+    """Tell whether a name is one that `atomic_write` gives to unfinished files."""
+    name = Path(path).name
+    return name.startswith(".") and (name.endswith(_TEMPORARY) or Path(name).stem.endswith(_TEMPORARY))
+
+
+def remove_stale(folder: str | Path, *, older_than: float = 3600.0) -> int:
+    """Remove unfinished files that a killed writer left behind; younger ones may still be in someone's hand.
+
+    Args:
+        folder: Where to look, not recursively.
+        older_than: Age in seconds since the last write from which a file counts as abandoned.
+
+    Returns:
+        The number of files removed.
+    """
+    removed = 0
+    for path in Path(folder).iterdir():
+        with contextlib.suppress(FileNotFoundError):  # its writer finished meanwhile
+            if is_temporary(path) and time.time() - path.stat().st_mtime > older_than:
+                path.unlink()
+                removed += 1
+    return removed
+
+
+def check_writable(folder: str | Path) -> None:
+    """Make sure, before any long work, that files can be created in a folder.
+
+    Raises:
+        PermissionError: They cannot; the message names the folder.
+    """
+    probe = Path(folder) / f".{uuid.uuid4().hex}{_TEMPORARY}"
+    try:
+        _write_bytes(probe, b"probe")
+    except OSError as error:
+        reason = error.strerror or error
+        raise PermissionError(f"Cannot write to {folder}: {reason}. Choose another folder or free this one.") from error
+    finally:
+        if os.path.lexists(probe):
+            probe.unlink(missing_ok=True)

@@ -1,0 +1,166 @@
+"""A folder of demonstrations: one file an episode, a ledger of every attempt, and nothing that a kill can break."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
+from dynaforge.demos.episode import Episode
+from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, read_episode, write_episode
+from dynaforge.demos.ledger import Attempt, Ledger
+
+FORMAT = "dynaforge-demonstrations"
+FORMAT_VERSION = 1
+_MARKER = "dataset.json"
+_EPISODES = "episodes"
+_LEDGER = "ledger.jsonl"
+
+
+class DemonstrationDataset:
+    """Demonstrations of one task in a folder: `dataset.json`, `ledger.jsonl`, `episodes/<id>.h5`.
+
+    There is no index file: the names in `episodes/` are the index. Any number of processes may add to one folder,
+    and an attempt that is repeated replaces itself.
+
+    Args:
+        path: The folder.
+        task: Name of the task, which opens the folder for adding and creates it if it does not exist. Without it an
+            existing folder is opened for reading only.
+        keep_failures: Whether `add` keeps the recording of failed episodes too; the ledger holds them in any case.
+
+    Raises:
+        FileNotFoundError: The folder holds no dataset and no task was given.
+        FileExistsError: The folder holds other data.
+        PermissionError: A task was given and the folder cannot be created or written to.
+        ValueError: The folder belongs to another task, or was written by a newer version.
+    """
+
+    def __init__(self, path: str | Path, *, task: str | None = None, keep_failures: bool = False) -> None:
+        self.path = Path(path)
+        self.writable = task is not None
+        self.keep_failures = keep_failures
+        if task is not None:
+            _prepare(self.path, task)
+        self.task = _read_marker(self.path)
+        if task is not None and task != self.task:
+            raise ValueError(f"{path} holds demonstrations of {self.task!r}, not of {task!r}. Choose another folder.")
+        self.ledger = Ledger(self.path / _LEDGER)
+        if self.writable:
+            self._open_for_adding()
+
+    def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> None:
+        """Record an attempt; its recording is on disk before its line in the ledger is.
+
+        Raises:
+            PermissionError: The dataset was opened for reading only.
+            ValueError: The episode is of another task.
+            OSError: The disk is full or the folder has gone; nothing that was added before is lost.
+        """
+        self._check(episode.condition.task)
+        if episode.success or self.keep_failures:
+            write_episode(self.file_of(episode.id), episode)
+        self.ledger.append(Attempt.of(episode, wall_seconds=wall_seconds, block=block))
+
+    def record(self, attempt: Attempt) -> None:
+        """Record an attempt that left no recording (a planner failure, an exception): it counts all the same.
+
+        Raises:
+            PermissionError, ValueError, OSError: As `add`.
+        """
+        self._check(attempt.condition.task)
+        self.ledger.append(attempt)
+
+    def attempts(self) -> list[Attempt]:
+        """Return every attempt once: those of the ledger, then those only a file tells of (killed in between)."""
+        found = {attempt.id: attempt for attempt in self.ledger.attempts()}
+        for name in self.ids():
+            if name not in found:
+                found[name] = Attempt.of(self[name])
+        return list(found.values())
+
+    def dgr(self) -> float:
+        """Return the demonstration generation rate, successes over all attempts; NaN before the first."""
+        attempts = self.attempts()
+        return sum(attempt.success for attempt in attempts) / len(attempts) if attempts else float("nan")
+
+    def ids(self) -> list[str]:
+        """Return the ids of the recorded episodes, sorted."""
+        return sorted(path.stem for path in (self.path / _EPISODES).glob(f"*{SUFFIX}") if not is_temporary(path))
+
+    def file_of(self, episode_id: str) -> Path:
+        """Return where an episode is, or would be, stored."""
+        return self.path / _EPISODES / f"{episode_id}{SUFFIX}"
+
+    def __len__(self) -> int:
+        return len(self.ids())
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[name] for name in self.ids())
+
+    def __getitem__(self, episode_id: str) -> Episode:
+        """Read one episode by its id.
+
+        Raises:
+            KeyError: There is none of that id.
+            DamagedFileError: Its file was altered, or holds another episode.
+        """
+        path = self.file_of(episode_id)
+        try:
+            episode = read_episode(path)
+        except FileNotFoundError as error:
+            raise KeyError(f"No episode {episode_id!r} in {self.path}.") from error
+        if episode.id != episode_id or episode.condition.task != self.task:
+            raise DamagedFileError(path, f"it holds episode {episode.id} of task {episode.condition.task!r}")
+        return episode
+
+    def _check(self, task: str) -> None:
+        if not self.writable:
+            raise PermissionError(f"{self.path} was opened for reading; pass task={self.task!r} to add to it.")
+        if task != self.task:
+            raise ValueError(f"{self.path} holds demonstrations of {self.task!r}; the attempt is one at {task!r}.")
+
+    def _open_for_adding(self) -> None:
+        episodes = self.path / _EPISODES
+        episodes.mkdir(exist_ok=True)
+        sync_folder(self.path)
+        for folder in (self.path, episodes):
+            check_writable(folder)
+            remove_stale(folder)
+        noted = {attempt.id for attempt in self.ledger.attempts()}
+        for name in self.ids():
+            if name not in noted:  # a kill fell between the file and its line
+                self.ledger.append(Attempt.of(self[name]))
+
+
+def _prepare(path: Path, task: str) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise FileExistsError(f"{path} is a file; demonstrations need a folder.") from None
+    except OSError as error:
+        raise PermissionError(f"Cannot create {path}: {error.strerror}. Choose another folder.") from error
+    others = sorted(entry.name for entry in path.iterdir() if not is_temporary(entry))
+    if (path / _MARKER).exists():  # asked after listing: another collector may just be creating the folder
+        return
+    if others:
+        raise FileExistsError(f"{path} holds other data ({', '.join(others[:3])}). Choose an empty or new folder.")
+    check_writable(path)
+    marker = {"format": FORMAT, "version": FORMAT_VERSION, "task": task}
+    atomic_write(path / _MARKER, json.dumps(marker, indent=2).encode() + b"\n")
+
+
+def _read_marker(path: Path) -> str:
+    marker = path / _MARKER
+    try:
+        data = json.loads(marker.read_bytes())
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(f"{path} holds no demonstrations: it has no {_MARKER}.") from None
+    except ValueError as error:
+        raise DamagedFileError(marker, f"it is no JSON ({error})") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT or not isinstance(data.get("task"), str):
+        raise DamagedFileError(marker, f"it does not describe a folder of format {FORMAT!r}")
+    if data.get("version") != FORMAT_VERSION:
+        raise ValueError(f"{path} has format version {data.get('version')}; this dynaforge reads {FORMAT_VERSION}.")
+    return str(data["task"])

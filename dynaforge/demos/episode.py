@@ -1,0 +1,124 @@
+"""One attempt at a task, successful or not, with everything recorded on the way."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from numpy.typing import NDArray
+
+from dynaforge.demos.schema import validate_steps
+from dynaforge.sim import Condition
+
+_GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def episode_id(condition: Condition, generator: str) -> str:
+    """Name the attempt of a generator at a condition: equal attempts have equal ids, so repeats are harmless.
+
+    Raises:
+        ValueError: The generator's name does not fit into a file name.
+    """
+    if not _GENERATOR_NAME.fullmatch(generator):
+        raise ValueError(f"Generator name {generator!r} must consist of letters, digits, '.', '_' and '-'.")
+    return f"{condition.id}-{generator}"
+
+
+def check_outcome(success: bool, failure: str) -> None:
+    """Make sure that exactly the failures carry a reason.
+
+    Raises:
+        ValueError: A success with a failure reason, or a failure without one.
+    """
+    if success and failure:
+        raise ValueError(f"A success has no failure reason, but {failure!r} was given.")
+    if not success and not failure:
+        raise ValueError("A failure needs a reason, e.g. 'timeout'.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """One attempt: condition, outcome, and what was recorded at each control step.
+
+    Attributes:
+        condition: What fixed the episode.
+        generator: Name of what made it, e.g. "planner" or "residual".
+        success: Whether the task's success predicate was held.
+        checkpoint: Checkpoints reached, 0 to C; C on success.
+        failure: Reason in a few words, the same words for the same cause; "" on success.
+        phase: Name of the phase it ended in.
+        duration: Simulated seconds.
+        steps: Arrays with leading dimension T at control rate; names, shapes, units in `SCHEMA`. Read-only.
+        meta: Plain JSON data: `phases` (names by index), `versions`, `policy_hash`, `task_hash`, digests, ...
+    """
+
+    condition: Condition
+    generator: str
+    success: bool
+    checkpoint: int
+    failure: str
+    phase: str
+    duration: float
+    steps: Mapping[str, NDArray[Any]]
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        episode_id(self.condition, self.generator)
+        check_outcome(self.success, self.failure)
+        try:
+            meta = json.loads(json.dumps(dict(self.meta), allow_nan=False))
+        except TypeError as error:
+            raise ValueError(f"Episode meta must be plain JSON data: {error}.") from error
+        object.__setattr__(self, "steps", MappingProxyType(validate_steps(self.steps)))
+        object.__setattr__(self, "meta", MappingProxyType(meta))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        outcome = (self.success, self.checkpoint, self.failure, self.phase, self.duration)
+        return Episode, (self.condition, self.generator, *outcome, dict(self.steps), dict(self.meta))
+
+    def __len__(self) -> int:
+        return len(self.steps["time"]) if self.steps else 0
+
+    @property
+    def id(self) -> str:
+        """Condition id and generator: also the file's name."""
+        return episode_id(self.condition, self.generator)
+
+    def header(self) -> dict[str, Any]:
+        """Return everything but the arrays as plain JSON data."""
+        return {
+            "condition": self.condition.to_dict(),
+            "generator": self.generator,
+            "success": bool(self.success),
+            "checkpoint": int(self.checkpoint),
+            "failure": self.failure,
+            "phase": self.phase,
+            "duration": float(self.duration),
+            "meta": dict(self.meta),
+        }
+
+    @staticmethod
+    def from_header(header: Mapping[str, Any], steps: Mapping[str, NDArray[Any]]) -> Episode:
+        """Rebuild an episode from `header` and its arrays.
+
+        Raises:
+            ValueError: A field is missing, or the arrays do not fit the schema.
+        """
+        names = ("generator", "success", "checkpoint", "failure", "phase", "duration")
+        if missing := [name for name in (*names, "condition", "meta") if name not in header]:
+            raise ValueError(f"Episode header lacks {missing}.")
+        fields: dict[str, Any] = {name: header[name] for name in names}
+        return Episode(Condition.from_dict(header["condition"]), **fields, steps=steps, meta=header["meta"])
+
+    def content_hash(self) -> str:
+        """Return the SHA-256 over header and arrays: the same in every process and for every file layout."""
+        digest = hashlib.sha256(json.dumps(self.header(), sort_keys=True).encode())
+        for name, array in self.steps.items():  # sorted by name at construction
+            digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
+            digest.update(array.tobytes())
+        return digest.hexdigest()

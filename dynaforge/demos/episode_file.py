@@ -1,0 +1,100 @@
+"""One immutable HDF5 file an episode: every flipped bit and every lost tail is noticed on reading.
+
+The file begins with a 512-byte HDF5 user block: one text line with the SHA-256 and the length of all bytes that
+follow. Any HDF5 reader skips it. Root attributes: `header` (JSON) and `content_hash`; datasets: `steps/<name>`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos.atomic import atomic_write
+from dynaforge.demos.episode import Episode
+
+FORMAT_VERSION = 1
+SUFFIX = ".h5"
+_USER_BLOCK = 512
+_MAGIC = b"DYNAFORGE-EPISODE"
+
+
+class DamagedFileError(ValueError):
+    """A file is not what was once written under its name; the message names it."""
+
+    def __init__(self, path: str | Path, reason: str) -> None:
+        super().__init__(f"{path} is damaged: {reason}. Restore it from a copy, or delete it and collect it again.")
+        self.path = Path(path)
+        self.reason = reason
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return DamagedFileError, (self.path, self.reason)
+
+
+def write_episode(path: str | Path, episode: Episode) -> None:
+    """Write one episode whole or not at all (`atomic_write`); an equal one already there is replaced.
+
+    Raises:
+        OSError: The folder is missing or not writable, or the disk is full.
+    """
+    body = _encode(episode)
+    atomic_write(path, _seal(body) + body)
+
+
+def read_episode(path: str | Path) -> Episode:
+    """Read one episode after checking every byte of its file.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        DamagedFileError: The file was altered, cut off, or is no episode.
+    """
+    data = Path(path).read_bytes()
+    seal, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
+    if not seal.startswith(_MAGIC):
+        raise DamagedFileError(path, "it does not begin as an episode file")
+    if seal != _seal(body):
+        raise DamagedFileError(path, "its bytes do not match the hash they were written with")
+    try:
+        header, steps, content_hash = _decode(data)
+        episode = Episode.from_header(header, steps)
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        raise DamagedFileError(path, f"its content is no episode ({error})") from error
+    if episode.content_hash() != content_hash:
+        raise DamagedFileError(path, "header and arrays do not match the content hash")
+    return episode
+
+
+def _seal(body: bytes) -> bytes:
+    line = b"%s %d %s %d\n" % (_MAGIC, FORMAT_VERSION, hashlib.sha256(body).hexdigest().encode(), len(body))
+    return line.ljust(_USER_BLOCK, b"\0")
+
+
+def _encode(episode: Episode) -> bytes:
+    # In memory: a full disk is then met by one plain write and not inside the HDF5 library.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver="latest") as file:
+        file.attrs["header"] = json.dumps(episode.header(), sort_keys=True)
+        file.attrs["content_hash"] = episode.content_hash()
+        group = file.create_group("steps")
+        for name, array in episode.steps.items():
+            group.create_dataset(name, data=array)
+    return buffer.getvalue()
+
+
+def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+    steps: dict[str, NDArray[Any]] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            steps[name] = np.asarray(item[()])
+
+    with h5py.File(io.BytesIO(data), "r") as file:
+        header = json.loads(file.attrs["header"])
+        file["steps"].visititems(collect)
+        return header, steps, str(file.attrs["content_hash"])

@@ -1,0 +1,153 @@
+"""The ledger: one line for every attempt, so that the success rate has an honest denominator."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dynaforge.demos.episode import Episode, check_outcome, episode_id
+from dynaforge.sim import Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """The outcome of one attempt, without its recording.
+
+    Attributes:
+        condition, generator, success, checkpoint, failure, phase, duration: As in `Episode`.
+        wall_seconds: Real time the attempt took; 0 where it is not known.
+        block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
+    """
+
+    condition: Condition
+    generator: str
+    success: bool
+    checkpoint: int
+    failure: str
+    phase: str
+    duration: float
+    wall_seconds: float = 0.0
+    block: int = 0
+
+    def __post_init__(self) -> None:
+        episode_id(self.condition, self.generator)
+        check_outcome(self.success, self.failure)
+
+    @property
+    def id(self) -> str:
+        """Condition id and generator, as `Episode.id`."""
+        return episode_id(self.condition, self.generator)
+
+    @property
+    def difficulty(self) -> float:
+        """Nominal difficulty of the condition, in the task's unit."""
+        return self.condition.difficulty
+
+    @staticmethod
+    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> Attempt:
+        """Take the outcome out of an episode."""
+        return Attempt(
+            episode.condition,
+            episode.generator,
+            episode.success,
+            episode.checkpoint,
+            episode.failure,
+            episode.phase,
+            episode.duration,
+            wall_seconds,
+            block,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON data."""
+        return {
+            "condition": self.condition.to_dict(),
+            "generator": self.generator,
+            "success": bool(self.success),
+            "checkpoint": int(self.checkpoint),
+            "failure": self.failure,
+            "phase": self.phase,
+            "duration": float(self.duration),
+            "wall_seconds": float(self.wall_seconds),
+            "block": int(self.block),
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Attempt:
+        """Rebuild an attempt from `to_dict`.
+
+        Raises:
+            ValueError: Fields are missing or unknown.
+        """
+        try:
+            return Attempt(**{**data, "condition": Condition.from_dict(data["condition"])})
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"Not an attempt: {error}.") from error
+
+
+class Ledger:
+    """An append-only file of attempts, one JSON line each; any number of processes may write to it.
+
+    A line is one O_APPEND write and ends with its own checksum. A line torn by a kill or altered later is left out
+    on reading, and counted in `damaged_lines`.
+    """
+
+    def __init__(self, path: str | Path, *, fsync: bool = True) -> None:
+        self.path = Path(path)
+        self.fsync = fsync
+
+    def append(self, attempt: Attempt) -> None:
+        """Add one line; on disk when this returns, if `fsync`.
+
+        Raises:
+            OSError: The file is not writable or the disk is full.
+        """
+        line = _line(attempt)
+        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        try:
+            size = os.fstat(descriptor).st_size
+            # A writer that was killed may have left half a line: begin a fresh one. A superfluous break is harmless.
+            if size and os.pread(descriptor, 1, size - 1) != b"\n":
+                line = b"\n" + line
+            if os.write(descriptor, line) != len(line):
+                raise OSError(errno.ENOSPC, "only part of a ledger line could be written", str(self.path))
+            if self.fsync:
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def attempts(self) -> list[Attempt]:
+        """Return the attempts in order of writing; of several with one id, the first."""
+        found: dict[str, Attempt] = {}
+        for line in self._lines():
+            attempt = _parse(line)
+            if attempt is not None:
+                found.setdefault(attempt.id, attempt)
+        return list(found.values())
+
+    def damaged_lines(self) -> list[int]:
+        """Return the numbers, from 1, of the lines that were torn or altered."""
+        return [number for number, line in enumerate(self._lines(), 1) if line and _parse(line) is None]
+
+    def _lines(self) -> list[bytes]:
+        return self.path.read_bytes().split(b"\n") if self.path.exists() else []
+
+
+def _line(attempt: Attempt) -> bytes:
+    text = json.dumps(attempt.to_dict(), sort_keys=True)
+    return f'{{"attempt": {text}, "crc": {zlib.crc32(text.encode())}}}\n'.encode()
+
+
+def _parse(line: bytes) -> Attempt | None:
+    try:
+        record = json.loads(line)
+        attempt = Attempt.from_dict(record["attempt"])
+    except (ValueError, KeyError, TypeError):
+        return None
+    return attempt if _line(attempt) == line + b"\n" else None  # the line as written, byte for byte

@@ -1,0 +1,133 @@
+"""What an episode may record at each control step: one table of names, shapes, units and frames."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One recorded quantity.
+
+    Attributes:
+        shape: Shape of one step, the leading T left out. A letter is a size the episode chooses, the same wherever
+            the letter stands.
+        dtype: How it is stored.
+        unit: SI unit, "-" for none.
+        frame: Frame its components are written in, "-" for none.
+        meaning: One sentence.
+    """
+
+    shape: tuple[int | str, ...]
+    dtype: str
+    unit: str
+    frame: str
+    meaning: str
+
+
+_BODY = {
+    "position": Field((3,), "float64", "m", "world", "Origin of the body."),
+    "quat_wxyz": Field((4,), "float64", "-", "world", "Orientation of the body, unit quaternion."),
+    "velocity": Field((3,), "float64", "m/s", "world", "Linear velocity of its centre of mass."),
+    "angular_velocity": Field((3,), "float64", "rad/s", "world", "Angular velocity."),
+}
+
+SCHEMA: Mapping[str, Field] = MappingProxyType(
+    {
+        "time": Field((), "float64", "s", "-", "Simulated time since reset at which the step begins; increases."),
+        "phase": Field((), "int16", "-", "-", "Index into `meta['phases']` of the phase that acted."),
+        "gate": Field((), "bool", "-", "-", "Residual gate m of Eq. 5."),
+        "q": Field((7,), "float64", "rad", "-", "Measured arm joint positions."),
+        "dq": Field((7,), "float64", "rad/s", "-", "Measured arm joint velocities."),
+        "ee_position": Field((3,), "float64", "m", "world", "Measured end-effector position."),
+        "ee_quat_wxyz": Field((4,), "float64", "-", "world", "Measured end-effector orientation."),
+        "width": Field((), "float64", "m", "-", "Measured opening between the fingers."),
+        **{f"object/<name>/{key}": field for key, field in _BODY.items()},
+        **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
+        "planner_action": Field(("A",), "float64", "m, -, m", "base", "a_plan: target pose, then gripper width."),
+        "residual_action": Field(("R",), "float64", "-", "task", "Residual as the policy gave it, in its scale."),
+        "requested_action": Field(("A",), "float64", "m, -, m", "base", "a_plan + m * scale * residual, Eq. 5."),
+        "projected_action": Field(("A",), "float64", "m, -, m", "base", "What the limits left of the request, Eq. 5."),
+        "joint_reference": Field((7,), "float64", "rad", "-", "Joint positions commanded to the controller."),
+        "joint_velocity_reference": Field((7,), "float64", "rad/s", "-", "Joint velocities fed forward with them."),
+        "width_reference": Field((), "float64", "m", "-", "Gripper width commanded."),
+        "left_contact": Field((), "bool", "-", "-", "The left finger touches the manipulated object."),
+        "right_contact": Field((), "bool", "-", "-", "The right finger touches the manipulated object."),
+        "reward": Field((), "float64", "-", "-", "Reward of the step; R of Eq. 6 at the last, else 0."),
+    }
+)
+"""Names of `Episode.steps`. `<name>` stands for a body's name; names under `extra/` are free."""
+
+
+def field_of(name: str) -> Field | None:
+    """Look a recorded name up; None for a free name under `extra/`.
+
+    Raises:
+        ValueError: The name is not in the schema; the closest names are listed.
+    """
+    parts = name.split("/")
+    if parts[0] == "extra" and len(parts) > 1:
+        return None
+    key = f"{parts[0]}/<name>/{parts[2]}" if len(parts) == 3 and parts[1] else name
+    if key in SCHEMA:
+        return SCHEMA[key]
+    close = difflib.get_close_matches(key, SCHEMA, n=3)
+    hint = f"Did you mean {', '.join(map(repr, close))}?" if close else "Names of your own go under 'extra/'."
+    raise ValueError(f"No step quantity {name!r} in the episode schema. {hint}")
+
+
+def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Check recorded arrays against the schema and return frozen C-ordered copies, sorted by name.
+
+    Args:
+        steps: Arrays with leading dimension T, all the same T; `time` is needed as soon as there is any.
+
+    Raises:
+        ValueError: An unknown name, a wrong shape or type, unequal lengths, time that does not increase.
+    """
+    sizes: dict[str, int] = {}
+    arrays = {name: _checked(name, steps[name], sizes) for name in sorted(steps)}
+    if not arrays:
+        return arrays
+    if "time" not in arrays:
+        raise ValueError("Steps need 'time', the simulated seconds of each control step.")
+    if np.any(np.diff(arrays["time"]) <= 0.0):
+        raise ValueError("Step quantity 'time' must increase from step to step.")
+    return arrays
+
+
+def _checked(name: str, value: Any, sizes: dict[str, int]) -> NDArray[Any]:
+    field = field_of(name)
+    given = np.asarray(value)
+    if given.ndim == 0 or given.dtype.kind not in "biuf":
+        raise ValueError(f"Step quantity {name!r} must be a numeric array with leading dimension T.")
+    if field is not None and not np.can_cast(given.dtype, field.dtype, "same_kind"):
+        raise ValueError(f"Step quantity {name!r} is {given.dtype}; the schema stores {field.dtype}.")
+    if field is not None and given.ndim != 1 + len(field.shape):
+        raise ValueError(f"Step quantity {name!r} has shape {given.shape}; expected (T, {field.shape}).")
+    wanted: tuple[int | str, ...] = ("T", *(field.shape if field is not None else given.shape[1:]))
+    for size, want in zip(given.shape, wanted, strict=True):
+        expected = sizes.setdefault(want, size) if isinstance(want, str) else want
+        if size != expected:
+            raise ValueError(
+                f"Step quantity {name!r} has shape {given.shape}; expected {wanted} with {sizes} from the others."
+            )
+    array = np.array(given, dtype=field.dtype if field is not None else given.dtype, order="C")
+    array.setflags(write=False)
+    return array
+
+
+def schema_markdown() -> str:
+    """Return the schema as a Markdown table, for the documentation."""
+    rows = ["| name | shape | type | unit | frame | meaning |", "|---|---|---|---|---|---|"]
+    for name, field in SCHEMA.items():
+        shape = ", ".join(["T", *map(str, field.shape)])
+        rows.append(f"| `{name}` | ({shape}) | {field.dtype} | {field.unit} | {field.frame} | {field.meaning} |")
+    return "\n".join(rows)

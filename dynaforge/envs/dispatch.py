@@ -1,0 +1,231 @@
+"""Running any number of episodes over any number of envs, in lock step."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from dynaforge.envs.job_routes import choose_route, idle_action
+from dynaforge.envs.sampler import Job
+from dynaforge.envs.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
+
+ENDLESS = 100_000  # Steps after which an uncapped episode is taken for one that never ends.
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedEpisode:
+    """Outcome of a job.
+
+    Attributes:
+        job: The job.
+        total_reward: Sum of rewards; for DynaForge envs the R of Eq. 6.
+        length: Steps taken.
+        success: The env's "is_success" at the end, or None when it says nothing.
+        capped: The dispatcher ended it at `max_episode_steps`.
+        info: The env's last info.
+    """
+
+    job: Job
+    total_reward: float
+    length: int
+    success: bool | None
+    capped: bool
+    info: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class DispatchStep:
+    """What one lock step did. All arrays have one row per env.
+
+    Attributes:
+        acted: Rows whose action had a place in an episode.
+        jobs: Index of the job each row worked on; -1 where it did not act.
+        new_obs: Observations after the step; rows that did not act keep theirs, rows that started show the first.
+        rewards: 0 where a row did not act.
+        dones: True where an episode ended, by itself or at the cap.
+        infos: {"idle": True} where a row did not work.
+        finished: Episodes that ended.
+    """
+
+    acted: NDArray[np.bool_]
+    jobs: NDArray[np.int64]
+    new_obs: Observations
+    rewards: NDArray[np.float64]
+    dones: NDArray[np.bool_]
+    infos: list[dict[str, Any]]
+    finished: list[FinishedEpisode]
+
+
+class EpisodeDispatcher:
+    """Feeds jobs to the rows of a VecEnv as they become free.
+
+    Use: `submit(jobs)`, then `step(actions)` while `busy`, reading `obs` before each step; `release()` at the end.
+    The innermost VecEnv is stepped directly and its wrappers are applied to live rows (see `WrapperStack`), so idle
+    rows reach neither statistics nor buffers.
+
+    Args:
+        env: Any VecEnv.
+        max_episode_steps: Ends episodes that are still running after so many steps. Needed for endless envs.
+
+    Raises:
+        ValueError: A wrapper that cannot be stepped through, or a cap below 1.
+    """
+
+    def __init__(self, env: VecEnv, *, max_episode_steps: int | None = None) -> None:
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps is {max_episode_steps}; it must be at least 1, or None for no cap.")
+        self.n_envs = env.num_envs
+        self.max_episode_steps = max_episode_steps
+        self._stack = WrapperStack(env)
+        self._route = choose_route(self._stack.base)
+        self._idle_actions = np.stack([idle_action(env.action_space)] * self.n_envs)
+        self._pending: deque[Job] = deque()
+        self._job: list[Job | None] = [None] * self.n_envs
+        self._acting = np.zeros(self.n_envs, dtype=bool)
+        self._starting = np.zeros(self.n_envs, dtype=bool)
+        self._returns = np.zeros(self.n_envs)
+        self._lengths = np.zeros(self.n_envs, dtype=np.int64)
+        self._obs: Observations | None = None
+        self._t0 = time.monotonic()
+        self.ticks = 0
+        self.idle_rows = 0
+        self.newly_started = np.zeros(0, dtype=np.intp)
+
+    @property
+    def busy(self) -> bool:
+        """Whether any episode is still to be finished."""
+        return bool(self._pending) or bool(self._acting.any()) or bool(self._starting.any())
+
+    @property
+    def obs(self) -> Observations:
+        """Observations to act on, one row per env; rows that are not in an episode hold old or zero values."""
+        if self._obs is None:
+            raise RuntimeError("There is nothing to act on yet: submit jobs first.")
+        return self._obs
+
+    @property
+    def idle_share(self) -> float:
+        """Share of row-steps since the last `submit` in which a row neither acted nor started an episode."""
+        return self.idle_rows / max(1, self.ticks * self.n_envs)
+
+    def submit(self, jobs: Iterable[Job]) -> None:
+        """Queue jobs and start as many as there are envs; afterwards `obs` holds their first observations.
+
+        Raises:
+            RuntimeError: Jobs of an earlier call are still running.
+        """
+        if self.busy:
+            raise RuntimeError("Earlier jobs are still running; step until `busy` is False, or call `release`.")
+        self.ticks = self.idle_rows = 0
+        self._pending.extend(jobs)
+        self._hand_out()
+        self._start_rows()
+
+    def step(self, actions: Any) -> DispatchStep:
+        """Take one action in every running episode, then let free rows start what is pending.
+
+        Args:
+            actions: Actions valid in the action space, one row per env; rows outside an episode are ignored.
+
+        Raises:
+            FloatingPointError: An observation or reward is NaN or infinite; names env, episode and component.
+            RuntimeError: An uncapped episode seems endless.
+        """
+        result = self._tick(actions)
+        self._start_rows()
+        return result
+
+    def release(self) -> None:
+        """Drop what is pending or running and give the VecEnv back its ordinary behaviour."""
+        self._pending.clear()
+        self._acting[:] = self._starting[:] = False
+        self._job = [None] * self.n_envs
+        self._route.release()
+
+    def _hand_out(self) -> None:
+        for index in np.flatnonzero(~(self._acting | self._starting)).tolist():
+            if not self._pending:
+                return
+            job = self._pending.popleft()
+            self._route.assign(index, job.reset_kwargs)
+            self._job[index] = job
+            self._starting[index] = True
+
+    def _start_rows(self) -> None:
+        # Rows usually start while others act. When none acts, one step without actions lets them start.
+        self.newly_started = np.flatnonzero(self._acting & (self._lengths == 0))
+        if not self._acting.any() and self._starting.any():
+            self._tick(self._idle_actions)
+            self.newly_started = np.flatnonzero(self._acting)
+
+    def _tick(self, actions: Any) -> DispatchStep:
+        acted, started = self._acting.copy(), self._starting.copy()
+        worked = acted | started
+        jobs = np.array([job.index if job and a else -1 for job, a in zip(self._job, acted, strict=True)])
+        raw, rewards, dones, infos = self._route.step(actions)
+        rewards = np.where(acted, rewards, 0.0)
+        self._check_finite(raw, rewards, worked)
+        self._lengths[started], self._returns[started] = 0, 0.0
+        self._lengths[acted] += 1
+        self._returns[acted] += rewards[acted]
+        self.ticks += 1
+        self.idle_rows += int(self.n_envs - worked.sum())
+
+        dones, capped = self._end_at_cap(np.asarray(dones) & acted, acted)
+        infos = [info if w else {"idle": True} for info, w in zip(infos, worked, strict=True)]
+        obs = self._stack.observe(raw, np.flatnonzero(worked & ~dones))
+        if self._obs is not None:
+            put_rows(obs, ~worked, take_rows(self._obs, ~worked))
+        self._obs = obs
+        finished = [self._finish(i, raw, infos[i], bool(capped[i])) for i in np.flatnonzero(dones).tolist()]
+        self._acting = worked & ~dones
+        self._starting[:] = False
+        self._hand_out()
+        return DispatchStep(acted, jobs, obs, rewards, dones, infos, finished)
+
+    def _end_at_cap(
+        self, dones: NDArray[np.bool_], acted: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        limit = self.max_episode_steps if self.max_episode_steps is not None else ENDLESS
+        over = acted & ~dones & (self._lengths >= limit)
+        if self.max_episode_steps is None and over.any():
+            where = self._job[int(np.argmax(over))]
+            raise RuntimeError(f"{where} has not ended after {ENDLESS} steps. For endless envs pass max_episode_steps.")
+        return dones | over, over
+
+    def _finish(self, index: int, raw: Observations, info: dict[str, Any], capped: bool) -> FinishedEpisode:
+        job = self._job[index]
+        assert job is not None
+        if capped:
+            info["TimeLimit.truncated"] = True
+        last = info.get("terminal_observation")
+        info["terminal_observation"] = self._stack.peek(take_rows(raw, index) if last is None else last)
+        total, length = float(self._returns[index]), int(self._lengths[index])
+        episode = {"r": round(total, 6), "l": length, "t": round(time.monotonic() - self._t0, 6)}
+        self._stack.report_episode(episode, info)
+        info.setdefault("episode", episode)
+        success = info.get("is_success")
+        self._job[index] = None
+        return FinishedEpisode(job, total, length, None if success is None else bool(success), capped, info)
+
+    def _check_finite(self, raw: Observations, rewards: NDArray[np.float64], worked: NDArray[np.bool_]) -> None:
+        parts = raw.items() if isinstance(raw, dict) else [("", raw)]
+        for key, part in parts:
+            if part.dtype.kind != "f" or np.isfinite(part[worked]).all():
+                continue
+            index = int(np.argmax(worked & ~np.isfinite(part.reshape(self.n_envs, -1)).all(axis=1)))
+            where = np.argwhere(~np.isfinite(part[index]))[0].tolist()
+            name = f"observation[{key!r}]" if key else "observation"
+            raise FloatingPointError(
+                f"{name} of env {index} is {part[index][tuple(where)]} at component {where} ({self._job[index]})."
+            )
+        if not np.isfinite(rewards).all():
+            index = int(np.argmax(~np.isfinite(rewards)))
+            raise FloatingPointError(f"Reward of env {index} is {rewards[index]} ({self._job[index]}).")

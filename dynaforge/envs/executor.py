@@ -1,0 +1,172 @@
+"""Runs a task's phase program: which phase, which target, which gate, and how the episode ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaforge.geometry import Array, JointTrajectory, Pose
+from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
+from dynaforge.sim import Condition, SceneState
+from dynaforge.tasks import Mode, Phase, Task
+from dynaforge.tasks.view import PhaseView, heading_frames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointSample:
+    """One sample of a planned joint trajectory: positions, velocities, accelerations, shape (7,) each."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedAction:
+    """a_plan of Eq. 5 for one control step.
+
+    Attributes:
+        target: Desired end-effector pose `T_world_ee`.
+        width: Desired opening between the fingers, metres.
+        gate: m of Eq. 5.
+        phase: Index of the running phase.
+        sample: In a global phase the trajectory's sample, followed verbatim; else None, and IK tracks `target`.
+    """
+
+    target: Pose
+    width: float
+    gate: bool
+    phase: int
+    sample: JointSample | None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How an episode ended.
+
+    Attributes:
+        success: y of Eq. 6.
+        checkpoint: c of Eq. 6: phases completed in order; C on success, less otherwise.
+        failure: The reason, empty on success.
+        phase: Name of the phase it ended in.
+    """
+
+    success: bool
+    checkpoint: int
+    failure: str
+    phase: str
+
+    def episodic_return(self, n_checkpoints: int) -> float:
+        """R of Eq. 6: 1 on success, else the share of checkpoints passed."""
+        return 1.0 if self.success else self.checkpoint / n_checkpoints
+
+
+class PhaseExecutor:
+    """Advances through the phase program and plans the next control step.
+
+    Call `reset` once and `advance` after every control step; then either `outcome` is set, or `action` is the plan
+    for the next control step.
+
+    Args:
+        task: The task whose program runs.
+        planner: Global planner for the stable phases.
+        control_dt: Seconds of a control step.
+        lead_time: Seconds of constant-velocity prediction; the paper's prior has none.
+    """
+
+    action: PlannedAction
+
+    def __init__(self, task: Task, planner: GlobalPlanner, *, control_dt: float, lead_time: float = 0.0) -> None:
+        self.task = task
+        self._planner = planner
+        self._dt = control_dt
+        self._lead_time = lead_time
+
+    def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
+        """Enter the first phase."""
+        self.outcome: Outcome | None = None
+        self._seed = condition.seed
+        self._start = state
+        self._frames = heading_frames(state, None)
+        self._enter(0, state, reference)
+
+    def advance(self, state: SceneState, reference: JointReference) -> None:
+        """Judge the measured state, then plan the next control step or end the episode.
+
+        Args:
+            state: The scene after the control step.
+            reference: Where the joint command stands; a global plan starts from it.
+        """
+        self._frames = heading_frames(state, self._frames)
+        self._steps += 1
+        view = self._view(state)
+        phase = self.phase
+        for reason, impossible in self.task.impossible:
+            if impossible(view, self.action.target):
+                return self._fail(reason)
+        self._held = self._held + 1 if phase.done(view, self.action.target) else 0
+        if self._held and self._held * self._dt >= phase.hold - 1e-9:
+            if self.index + 1 == len(self.task.phases):
+                self.outcome = Outcome(True, self.task.n_checkpoints, "", phase.name)
+                return None
+            return self._enter(self.index + 1, state, reference)
+        if self._steps * self._dt >= phase.timeout - 1e-9:
+            return self._fail(phase.failure)
+        self._plan(view)
+        return None
+
+    @property
+    def phase(self) -> Phase:
+        """The running phase."""
+        return self.task.phases[self.index]
+
+    @property
+    def phase_time_left(self) -> float:
+        """Share of the running phase's timeout that is left, in [0, 1]."""
+        return 1.0 - self._steps * self._dt / self.phase.timeout
+
+    @property
+    def frame(self) -> Pose:
+        """Heading frame `T_world_heading` of the running phase's object."""
+        return self._frames[self.phase.target.object]
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the target no longer follows the object."""
+        return self._frozen
+
+    def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
+        self.index = index
+        self._steps = self._held = 0
+        self._entry, self._entry_frames = state, self._frames
+        self._trajectory: JointTrajectory | None = None
+        self._frozen = False
+        view = self._view(state)
+        if self.phase.mode is Mode.GLOBAL:
+            self._target = self.phase.target(view)
+            try:
+                self._trajectory = self._planner.plan(
+                    reference.q, reference.dq, reference.ddq, self._target,
+                    rng=np.random.default_rng((self._seed, index)),
+                )  # fmt: skip
+            except PlanFailure as failure:
+                return self._fail(f"plan failed: {failure.reason}")
+        self._plan(view)
+        return None
+
+    def _plan(self, view: PhaseView) -> None:
+        phase, sample = self.phase, None
+        if self._trajectory is not None:
+            k = min(self._steps + 1, len(self._trajectory) - 1)
+            sample = JointSample(self._trajectory.q[k], self._trajectory.dq[k], self._trajectory.ddq[k])
+        elif not self._frozen:
+            self._target = phase.target(view)
+            self._frozen = phase.track_until is not None and phase.track_until(view, self._target)
+        self.action = PlannedAction(self._target, phase.width, phase.gate, self.index, sample)
+
+    def _view(self, state: SceneState) -> PhaseView:
+        return PhaseView(state, self._entry, self._start, self._frames, self._entry_frames, self._lead_time)
+
+    def _fail(self, reason: str) -> None:
+        self.outcome = Outcome(False, self.index, reason, self.phase.name)

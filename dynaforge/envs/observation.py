@@ -1,0 +1,114 @@
+"""What the residual policy sees: a short history of privileged state and a_plan, scaled to order one."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.envs.executor import PhaseExecutor
+from dynaforge.geometry import Array, rotvec_from_matrix
+from dynaforge.sim import RobotDescription, SceneState
+from dynaforge.tasks import Task
+
+HISTORY = 4  # control steps
+LIMIT = 10.0  # scaled features are clipped here
+
+_PER_STEP = (("ee_from_object", 3, 0.1), ("object_velocity", 3, 1.0), ("width", 1, 0.08), ("touching", 2, 1.0))
+
+
+class ObservationBuilder:
+    """h_t and a_plan of Eq. 4 as one float32 vector.
+
+    Vectors are expressed in the heading frame of the phase's object, so that "ahead" reads the same whichever way it
+    moves. Every feature is divided by a fixed scale: no running statistics.
+
+    Attributes:
+        layout: (name, size, scale) of every part, in order.
+        size: Length of the vector.
+    """
+
+    def __init__(self, task: Task, robot: RobotDescription, n_actions: int) -> None:
+        self._robot = robot
+        self._q_middle = (robot.q_upper + robot.q_lower) / 2
+        self._q_half = (robot.q_upper - robot.q_lower) / 2
+        self._one_hot = np.eye(len(task.phases))
+        self._dt = task.scene.control_dt
+        self._time_limit = task.time_limit
+        self._history: deque[SceneState] = deque(maxlen=HISTORY)
+        self.layout = (
+            *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
+            ("ee_velocity", 3, 1.0),
+            ("object_angular_velocity", 3, 20.0),
+            ("object_position", 3, 0.5),
+            ("heading", 2, 1.0),
+            ("plan_from_ee", 3, 0.1),
+            ("plan_rotation_from_ee", 3, 1.0),
+            ("plan_width", 1, 0.08),
+            ("q", 7, 1.0),
+            ("dq", 7, 1.0),
+            ("phase", len(task.phases), 1.0),
+            ("gate", 1, 1.0),
+            ("frozen", 1, 1.0),
+            ("phase_time_left", 1, 1.0),
+            ("time_left", 1, 1.0),
+            ("last_residual", n_actions, 1.0),
+        )
+        self.size = sum(size for _, size, _ in self.layout)
+        self._scale = np.concatenate([np.full(size, scale) for _, size, scale in self.layout])
+
+    def reset(self, state: SceneState) -> None:
+        """Start a history with copies of the first state."""
+        self._history.clear()
+        self._history.extend([state] * HISTORY)
+
+    def push(self, state: SceneState) -> None:
+        """Append the state of one control step."""
+        self._history.append(state)
+
+    def build(self, executor: PhaseExecutor, last_action: Array) -> NDArray[np.float32]:
+        """Return the observation at the start of a decision, shape (size,).
+
+        Args:
+            executor: The running program, after its latest `advance`.
+            last_action: The residual action of the decision before, shape (n_actions,).
+        """
+        frame, plan = executor.frame, executor.action
+        to_frame = frame.rotation  # row vectors: v_frame = v_world @ R_world_frame
+        name = executor.phase.target.object
+        parts: list[Array | tuple[float, ...]] = []
+        for state in reversed(self._history):
+            body = state.objects[name]
+            parts.append((state.ee.position - body.pose.position) @ to_frame)
+            parts.append(body.velocity @ to_frame)
+            parts.append((state.width, *map(float, state.touching[name])))
+        state, before = self._history[-1], self._history[-2]
+        body = state.objects[name]
+        parts += (
+            (state.ee.position - before.ee.position) @ to_frame / self._dt,
+            body.angular_velocity @ to_frame,
+            body.pose.position,
+            (float(to_frame[0, 0]), float(to_frame[1, 0])),
+            (plan.target.position - state.ee.position) @ to_frame,
+            rotvec_from_matrix(plan.target.rotation @ state.ee.rotation.T) @ to_frame,
+            (plan.width,),
+            (state.q - self._q_middle) / self._q_half,
+            state.dq / self._robot.dq_max,
+            self._one_hot[plan.phase],
+            (
+                float(plan.gate),
+                float(executor.frozen),
+                executor.phase_time_left,
+                1.0 - state.time / self._time_limit,
+            ),
+            last_action,
+        )
+        vector = np.concatenate(parts) / self._scale
+        return np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
+
+
+def is_finite(values: Array) -> bool:
+    """Tell whether a short vector holds neither NaN nor infinity; on a few numbers faster than numpy."""
+    return math.isfinite(float(values.sum()))

@@ -1,0 +1,185 @@
+"""The Gymnasium env whose action is a residual on the planner's action, Eq. 5."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.envs.choices import check_choice, condition_from_options
+from dynaforge.envs.executor import PhaseExecutor
+from dynaforge.envs.observation import LIMIT, ObservationBuilder, is_finite
+from dynaforge.envs.rendering import Renderer
+from dynaforge.envs.world import World
+from dynaforge.geometry import Array
+from dynaforge.sim import Condition
+from dynaforge.tasks import ConditionSpace, Task, get_task
+
+Observation = NDArray[np.float32]
+
+GATE_MODES = ("skip", "mask")
+
+
+class ResidualEnv(gym.Env[Observation, Observation]):
+    """A task with its planning prior inside: the action only corrects it.
+
+    One step is one decision: a residual held for up to `decision_steps` control steps, cut short where the gate
+    changes. The reward is 0 until the end and then R of Eq. 6. A timeout terminates: truncation would make
+    Stable-Baselines3 add a bootstrapped value to R.
+
+    Args:
+        task: Task name or a Task.
+        gate_mode: "skip": `step` runs on through phases whose gate is closed, so that every action has an effect and
+            decisions differ in duration. "mask": every decision is a step; `info["residual_mask"]` tells which count.
+            Both give the same gated decisions.
+        render_mode: None, "rgb_array" or "human".
+        lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
+        residual_frame: "target" or "world"; None takes the task's own.
+
+    Raises:
+        ValueError: Unknown task, gate mode, render mode or frame.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+
+    def __init__(
+        self,
+        task: str | Task = "can",
+        *,
+        gate_mode: str = "skip",
+        render_mode: str | None = None,
+        lead_time: float = 0.0,
+        residual_frame: str | None = None,
+    ) -> None:
+        self.task = get_task(task) if isinstance(task, str) else task
+        self.residual_frame = residual_frame or self.task.residual.frame
+        check_choice("gate_mode", gate_mode, GATE_MODES)
+        check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        check_choice("residual_frame", self.residual_frame, ("target", "world"))
+        self.gate_mode = gate_mode
+        self.render_mode = render_mode
+        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
+        self.executor = PhaseExecutor(
+            self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
+        )
+        scales = np.array(self.task.residual.scales)
+        self._active = np.flatnonzero(scales)
+        self._scales = scales[self._active]
+        self.observer = ObservationBuilder(self.task, self.world.scene.robot, len(self._active))
+        self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self._active),), np.float32)
+        self._renderer: Renderer | None = None
+        self._condition: Condition | None = None
+
+    @property
+    def condition_sampler(self) -> ConditionSpace:
+        """Draws conditions and says how to reset to them."""
+        return self.task.conditions
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: Seeds the env's own draws of conditions.
+            options: `{"condition": Condition}` (or its `to_dict` form) fixes the episode; without it one is drawn.
+
+        Raises:
+            ValueError: An unknown option, or a condition that is not this task's.
+        """
+        super().reset(seed=seed)
+        self._condition = condition_from_options(self.task, options, self.np_random)
+        state = self.world.reset(self._condition)
+        self.observer.reset(state)
+        self._last_action = np.zeros(len(self._active))
+        self.executor.reset(state, self._condition, self.world.reference)
+        if self.gate_mode == "skip":
+            self._run_until_gate()
+        return self._observation(), {"condition_id": self._condition.id}
+
+    def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Apply one residual decision.
+
+        Args:
+            action: Residual in units of its scale, shape (d,); values beyond [-1, 1] are clipped.
+
+        Raises:
+            ValueError: Wrong shape, NaN or infinity.
+            RuntimeError: Called before `reset`.
+        """
+        if self._condition is None:
+            raise RuntimeError("step() before reset(): call env.reset() first.")
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != self.action_space.shape or not is_finite(action):
+            raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
+        gated = self.executor.outcome is None and self.executor.action.gate
+        if gated:
+            self._last_action = np.clip(action, -1.0, 1.0)
+        if self.executor.outcome is None:
+            self._run_decision(gated)
+        if self.gate_mode == "skip":
+            self._run_until_gate()
+        return self._result(gated)
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
+        if self.render_mode != "rgb_array":
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(self.world.scene, self.task.camera)
+        return self._renderer.image()
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self.world.close()
+
+    # ---------------------------------------------------------------- inside an episode
+
+    def _run_decision(self, gated: bool) -> None:
+        residual = self._physical_residual() if gated else None
+        for _ in range(self.task.residual.decision_steps):
+            self._control_step(residual)
+            if self.executor.outcome is not None or self.executor.action.gate != gated:
+                return
+
+    def _run_until_gate(self) -> None:
+        while self.executor.outcome is None and not self.executor.action.gate:
+            self._control_step(None)
+
+    def _control_step(self, residual: Array | None) -> None:
+        state = self.world.execute(self.executor.action, residual)
+        self.observer.push(state)
+        self.executor.advance(state, self.world.reference)
+
+    def _physical_residual(self) -> Array:
+        """Scale the held action and turn it into the world frame, shape (7,)."""
+        residual = np.zeros(7)
+        residual[self._active] = self._scales * self._last_action
+        if self.residual_frame == "target":
+            rotation = self.executor.frame.rotation
+            residual[:3] = rotation @ residual[:3]
+            residual[3:6] = rotation @ residual[3:6]
+        return residual
+
+    def _observation(self) -> Observation:
+        return self.observer.build(self.executor, self._last_action)
+
+    def _result(self, gated: bool) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        outcome = self.executor.outcome
+        info: dict[str, Any] = {"residual_mask": float(gated)}
+        reward = 0.0
+        if outcome is not None:
+            assert self._condition is not None
+            reward = outcome.episodic_return(self.task.n_checkpoints)
+            info |= {
+                "is_success": outcome.success,
+                "checkpoint": outcome.checkpoint,
+                "failure": outcome.failure,
+                "phase": outcome.phase,
+                "condition_id": self._condition.id,
+            }
+        return self._observation(), reward, outcome is not None, False, info
+

@@ -1,0 +1,158 @@
+"""The Gymnasium env whose action is absolute: an end-effector target, or joint targets."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.envs.choices import check_choice, condition_from_options
+from dynaforge.envs.observation import is_finite
+from dynaforge.envs.rendering import Renderer
+from dynaforge.envs.world import LOWEST_EE, World
+from dynaforge.geometry import Array, Pose, matrix_from_rotvec
+from dynaforge.sim import Condition, SceneState
+from dynaforge.tasks import ConditionSpace, Task, get_task
+from dynaforge.tasks.targets import DOWN_ALONG_X
+from dynaforge.tasks.view import PhaseView, heading_frames
+
+Observation = NDArray[np.float64]
+
+ACTION_MODES = ("ee", "joint")
+WORKSPACE_LOW = (0.0, -0.8, LOWEST_EE)
+WORKSPACE_HIGH = (0.8, 0.8, 0.9)
+
+
+class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
+    """A task without its prior: for imitation policies, replay, and learning from scratch.
+
+    One step is one control step. The reward is 1 when the task's success held long enough and 0 otherwise; an
+    episode also ends when success has become impossible or time is up.
+
+    Args:
+        task: Task name or a Task.
+        action_mode: "ee": target position (m, base frame), rotation vector from the straight-down hand (rad), gripper
+            width (m), shape (7,). "joint": seven joint targets (rad) and gripper width (m), shape (8,).
+        render_mode: None, "rgb_array" or "human".
+
+    Raises:
+        ValueError: Unknown task, action mode or render mode.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+
+    def __init__(
+        self, task: str | Task = "can", *, action_mode: str = "ee", render_mode: str | None = None
+    ) -> None:
+        self.task = get_task(task) if isinstance(task, str) else task
+        check_choice("action_mode", action_mode, ACTION_MODES)
+        check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        self.action_mode = action_mode
+        self.render_mode = render_mode
+        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
+        robot = self.world.scene.robot
+        if action_mode == "ee":
+            low, high = (*WORKSPACE_LOW, *[-np.pi] * 3, 0.0), (*WORKSPACE_HIGH, *[np.pi] * 3, robot.width_max)
+        else:
+            low, high = (*robot.q_lower, 0.0), (*robot.q_upper, robot.width_max)
+        self.action_space = gym.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
+        self.layout = (
+            ("q", 7),
+            ("dq", 7),
+            ("ee_position", 3),
+            ("ee_quat_wxyz", 4),
+            ("width", 1),
+            *(
+                (f"{body.name}/{name}", size)
+                for body in self.task.scene.bodies
+                for name, size in (
+                    ("position", 3), ("quat_wxyz", 4), ("velocity", 3), ("angular_velocity", 3), ("touching", 2),
+                )
+            ),
+            ("time_left", 1),
+        )  # fmt: skip
+        size = sum(size for _, size in self.layout)
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
+        self._renderer: Renderer | None = None
+        self._condition: Condition | None = None
+
+    @property
+    def condition_sampler(self) -> ConditionSpace:
+        """Draws conditions and says how to reset to them."""
+        return self.task.conditions
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode; `options={"condition": ...}` fixes it."""
+        super().reset(seed=seed)
+        self._condition = condition_from_options(self.task, options, self.np_random)
+        self._start = self._state = self.world.reset(self._condition)
+        self._frames = heading_frames(self._state, None)
+        self._held = 0
+        return self._observation(), {"condition_id": self._condition.id}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Move toward the commanded target for one control step.
+
+        Raises:
+            ValueError: Wrong shape, NaN or infinity.
+            RuntimeError: Called before `reset`.
+        """
+        if self._condition is None:
+            raise RuntimeError("step() before reset(): call env.reset() first.")
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self.action_space.shape or not is_finite(values):
+            raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
+        values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
+        if self.action_mode == "ee":
+            rotation = matrix_from_rotvec(values[3:6]) @ DOWN_ALONG_X
+            self._state = self.world.track(Pose(rotation, values[:3]), float(values[6]))
+        else:
+            self._state = self.world.track_joints(values[:7], float(values[7]))
+        self._frames = heading_frames(self._state, self._frames)
+        success, failure = self._judge()
+        info: dict[str, Any] = {}
+        if success or failure:
+            info = {"is_success": success, "failure": failure, "condition_id": self._condition.id}
+        return self._observation(), float(success), bool(success or failure), False, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
+        if self.render_mode != "rgb_array":
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(self.world.scene, self.task.camera)
+        return self._renderer.image()
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self.world.close()
+
+    def _judge(self) -> tuple[bool, str]:
+        """Tell whether the task's success has held long enough, and the reason of a failure."""
+        state, last = self._state, self.task.phases[-1]
+        view = PhaseView(state, self._start, self._start, self._frames, self._frames)
+        self._held = self._held + 1 if last.done(view, state.ee) else 0
+        if self._held and self._held * self.task.scene.control_dt >= last.hold - 1e-9:
+            return True, ""
+        for reason, impossible in self.task.impossible:
+            if impossible(view, state.ee):
+                return False, reason
+        return False, "timeout" if state.time >= self.task.time_limit - 1e-9 else ""
+
+    def _observation(self) -> Observation:
+        return observe_flat(self._state, self.task)
+
+
+def observe_flat(state: SceneState, task: Task) -> Array:
+    """Lay the privileged state out flat, SI units, in the order of `TaskEnv.layout`."""
+    parts: list[Any] = [state.q, state.dq, state.ee.position, state.ee.quat_wxyz, (state.width,)]
+    for spec in task.scene.bodies:
+        body = state.objects[spec.name]
+        parts += [body.pose.position, body.pose.quat_wxyz, body.velocity, body.angular_velocity]
+        parts.append(tuple(map(float, state.touching[spec.name])))
+    parts.append((1.0 - state.time / task.time_limit,))
+    return np.concatenate(parts)

@@ -1,0 +1,39 @@
+"""Success rates and what can be said about them: DGR, paired statistics, the competence frontier."""
+
+from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain
+from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, frontier_of_outcomes, trailing_mean
+from dynaforge.evaluation.statistics import (
+    BinComparison,
+    BootstrapDifference,
+    Interval,
+    PairedDifference,
+    bootstrap_over,
+    mcnemar_exact,
+    no_bin_lost,
+    paired_difference,
+    wilson_bounds,
+    wilson_interval,
+)
+
+__all__ = [
+    "BinComparison",
+    "BootstrapDifference",
+    "Count",
+    "DgrReport",
+    "FrontierAnalysis",
+    "Interval",
+    "Outcome",
+    "PairedDifference",
+    "Trial",
+    "analyse_frontier",
+    "bootstrap_over",
+    "comparison_table",
+    "describe_gain",
+    "frontier_of_outcomes",
+    "mcnemar_exact",
+    "no_bin_lost",
+    "paired_difference",
+    "trailing_mean",
+    "wilson_bounds",
+    "wilson_interval",
+]

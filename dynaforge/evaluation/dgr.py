@@ -1,0 +1,231 @@
+"""The demonstration generation rate: successes over every attempt made, with bins, blocks and reasons."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from statistics import mean, stdev
+from typing import Any, Protocol
+
+from rich.console import Console
+from rich.table import Table
+
+from dynaforge.evaluation.statistics import Interval, PairedDifference, wilson_interval
+
+
+class Outcome(Protocol):
+    """What a report needs to know of an attempt; `dynaforge.demos.Attempt` and `Trial` fit."""
+
+    @property
+    def difficulty(self) -> float:
+        """Nominal difficulty of the condition, in the task's unit."""
+
+    @property
+    def success(self) -> bool:
+        """Whether it succeeded."""
+
+    @property
+    def failure(self) -> str:
+        """Why it failed; "" on success."""
+
+    @property
+    def block(self) -> int:
+        """Which block of conditions it belongs to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A bare outcome, for attempts that are only counted."""
+
+    difficulty: float
+    success: bool
+    failure: str = ""
+    block: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """Successes among n attempts."""
+
+    successes: int
+    n: int
+
+    @property
+    def rate(self) -> float:
+        """Success rate; NaN without attempts."""
+        return self.successes / self.n if self.n else math.nan
+
+    @property
+    def interval(self) -> Interval:
+        """Wilson 95 % interval."""
+        return wilson_interval(self.successes, self.n)
+
+
+@dataclass(frozen=True, slots=True)
+class DgrReport:
+    """How often a generator succeeds. Every attempt counts: planner failures, exceptions and timeouts too.
+
+    Attributes:
+        label: What was measured, e.g. "planner only".
+        total: All attempts pooled.
+        blocks: By block of conditions, in order of their number.
+        edges: Edges of the difficulty bins, ascending, one more than bins.
+        bins: By difficulty, easiest first.
+        failures: Attempts lost to each reason, most frequent first.
+    """
+
+    label: str
+    total: Count
+    blocks: tuple[Count, ...]
+    edges: tuple[float, ...]
+    bins: tuple[Count, ...]
+    failures: Mapping[str, int]
+
+    @staticmethod
+    def from_attempts(
+        attempts: Iterable[Outcome], *, difficulty_range: tuple[float, float], n_bins: int = 8, label: str = ""
+    ) -> DgrReport:
+        """Count attempts.
+
+        Args:
+            attempts: Every attempt that was made, in any order.
+            difficulty_range: Lowest and highest difficulty of the task; the bins divide it equally.
+
+        Raises:
+            ValueError: No attempts, an empty range, or a difficulty outside of it.
+        """
+        records = list(attempts)
+        low, high = difficulty_range
+        if not records or n_bins < 1 or not high > low:
+            raise ValueError("A report needs attempts, at least one bin and a difficulty range (low, high).")
+        bins: list[list[Outcome]] = [[] for _ in range(n_bins)]
+        blocks: dict[int, list[Outcome]] = {}
+        for record in records:
+            bins[_bin(record.difficulty, low, high, n_bins)].append(record)
+            blocks.setdefault(record.block, []).append(record)
+        reasons = Counter(record.failure or "unnamed" for record in records if not record.success)
+        return DgrReport(
+            label=label,
+            total=_count(records),
+            blocks=tuple(_count(blocks[key]) for key in sorted(blocks)),
+            edges=tuple(low + (high - low) * i / n_bins for i in range(n_bins + 1)),
+            bins=tuple(_count(members) for members in bins),
+            failures=dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of attempts."""
+        return self.total.n
+
+    @property
+    def mean(self) -> float:
+        """Mean of the block rates; with equal blocks this is the pooled rate."""
+        return mean(block.rate for block in self.blocks)
+
+    @property
+    def std(self) -> float:
+        """Sample standard deviation over blocks; NaN for a single block."""
+        return stdev(block.rate for block in self.blocks) if len(self.blocks) > 1 else math.nan
+
+    @property
+    def interval(self) -> Interval:
+        """Wilson 95 % interval of the pooled rate."""
+        return self.total.interval
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON data, derived figures included for readers of the file."""
+        derived = {
+            "rate": self.total.rate,
+            "interval": list(self.interval),
+            "std": None if self.std != self.std else self.std,
+        }
+        return {
+            "label": self.label,
+            "total": asdict(self.total),
+            "blocks": [asdict(block) for block in self.blocks],
+            "edges": list(self.edges),
+            "bins": [asdict(one) for one in self.bins],
+            "failures": dict(self.failures),
+            "derived": derived,
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> DgrReport:
+        """Rebuild a report from `to_dict`; derived figures are computed anew.
+
+        Raises:
+            ValueError: A field is missing or malformed.
+        """
+        try:
+            return DgrReport(
+                label=str(data["label"]),
+                total=Count(**data["total"]),
+                blocks=tuple(Count(**block) for block in data["blocks"]),
+                edges=tuple(float(edge) for edge in data["edges"]),
+                bins=tuple(Count(**one) for one in data["bins"]),
+                failures={str(key): int(value) for key, value in data["failures"].items()},
+            )
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"Not a DGR report: {error!r}.") from error
+
+    def table(self, *, width: int = 80) -> str:
+        """Return bins, total and failure reasons as plain text."""
+        grid = Table(title=self.label or None, title_justify="left")
+        for name in ("difficulty", "n", "success", "95 %"):
+            grid.add_column(name, justify="right")
+        for low, high, count in zip(self.edges[:-1], self.edges[1:], self.bins, strict=True):
+            grid.add_row(f"{low:.3g} - {high:.3g}", str(count.n), *_cells(count))
+        grid.add_section()
+        grid.add_row("all", str(self.n), *_cells(self.total))
+        lines = [f"  {number:4d}  {reason}" for reason, number in self.failures.items()]
+        return _render(grid, width) + ("\nfailures\n" + "\n".join(lines) if lines else "")
+
+
+def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:
+    """Return one line a report as plain text, and below it the paired gain if given."""
+    grid = Table()
+    for name in ("", "n", "success", "95 %", "std of blocks"):
+        grid.add_column(name, justify="left" if not name else "right")
+    for report in reports:
+        spread = f"{report.std:.1%}" if not math.isnan(report.std) else "-"
+        grid.add_row(report.label, str(report.n), *_cells(report.total), spread)
+    text = _render(grid, width)
+    return text if paired is None else f"{text}\n{describe_gain(paired)}"
+
+
+def describe_gain(paired: PairedDifference) -> str:
+    """Say in one line what a paired comparison found."""
+    low, high = paired.interval
+    p = f"p = {paired.p_value:.2g}" if paired.p_value >= 1e-4 else "p < 0.0001"
+    return (
+        f"paired gain {100 * paired.difference:+.1f} points, 95 % [{100 * low:+.1f}, {100 * high:+.1f}] "
+        f"({paired.only_b} won, {paired.only_a} lost of {paired.n}; exact McNemar {p})"
+    )
+
+
+def _bin(difficulty: float, low: float, high: float, n_bins: int) -> int:
+    if not low <= difficulty <= high:
+        raise ValueError(f"Difficulty {difficulty:g} lies outside the task's range [{low:g}, {high:g}].")
+    return min(int((difficulty - low) / (high - low) * n_bins), n_bins - 1)
+
+
+def _count(records: Sequence[Outcome]) -> Count:
+    return Count(sum(bool(record.success) for record in records), len(records))
+
+
+def _cells(count: Count) -> tuple[str, str]:
+    if not count.n:
+        return "-", "-"
+    low, high = count.interval
+    return f"{count.rate:.1%}", f"{low:.1%} - {high:.1%}"
+
+
+def _render(grid: Table, width: int) -> str:
+    console = Console(file=io.StringIO(), width=width, color_system=None, force_terminal=False)
+    with console.capture() as capture:
+        console.print(grid)
+    return "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())

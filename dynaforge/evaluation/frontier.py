@@ -1,0 +1,128 @@
+"""Where the competence frontier stands during training (Eq. 10 of the paper, and its figure)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaforge.evaluation.statistics import wilson_bounds
+from dynaforge.geometry import Array
+
+WINDOW = 20
+SMOOTHING = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrontierAnalysis:
+    """Success of each stratum over a training run, and how deep the mastered ranks reach.
+
+    U updates, N strata; strata are numbered as they were sampled, ranks run from the easiest on.
+
+    Attributes:
+        success: Success fraction p_i(u) of each update, shape (U, N); NaN where a stratum had no trial.
+        trailing: Eq. 10, mean of the last `window` updates, shape (U, N); NaN as long as there was no trial.
+        order: Stratum at each rank, by falling full-run mean success, shape (N,).
+        depth: Number of contiguous ranks, from the easiest, that are mastered, shape (U,).
+        frontier: Trailing mean of `depth` over the smoothing window, shape (U,).
+    """
+
+    success: Array
+    trailing: Array
+    order: NDArray[np.int64]
+    depth: NDArray[np.int64]
+    frontier: Array
+
+    @property
+    def overall(self) -> Array:
+        """Success fraction of each update over all strata that had trials, shape (U,)."""
+        return np.asarray(_mean(self.success, axis=1))
+
+    @property
+    def overall_trailing(self) -> Array:
+        """`overall` over the trailing window: the learning curve, shape (U,)."""
+        return np.asarray(_mean(self.trailing, axis=1))
+
+
+def frontier_of_outcomes(
+    outcomes: ArrayLike, *, window: int = WINDOW, smoothing: int = SMOOTHING, confidence: float = 0.95
+) -> FrontierAnalysis:
+    """Analyse single outcomes: success of rollout k of stratum i at update u, shape (U, N, K).
+
+    Raises:
+        ValueError: Not three-dimensional, or as `analyse_frontier`.
+    """
+    array = np.asarray(outcomes)
+    if array.ndim != 3:
+        raise ValueError(f"Outcomes must have shape (U, N, K), given {array.shape}.")
+    return analyse_frontier(
+        array.sum(axis=2), array.shape[2], window=window, smoothing=smoothing, confidence=confidence
+    )
+
+
+def analyse_frontier(
+    successes: ArrayLike,
+    trials: ArrayLike,
+    *,
+    window: int = WINDOW,
+    smoothing: int = SMOOTHING,
+    confidence: float = 0.95,
+) -> FrontierAnalysis:
+    """Find the competence frontier of a training run.
+
+    The frontier is the deepest contiguous rank for which every stratum up to it has a Wilson lower bound of at least
+    one half, over the outcomes pooled in the trailing window.
+
+    Args:
+        successes: Successful rollouts of each update and stratum, shape (U, N).
+        trials: Rollouts made, broadcastable to (U, N): K, or an array where the strata differ.
+        window, smoothing: Updates in the trailing windows; shorter at the start, w_u = min(window, u).
+        confidence: Of the two-sided Wilson interval.
+
+    Raises:
+        ValueError: A wrong shape, counts out of range, an empty window.
+    """
+    counts = np.asarray(successes, dtype=float)
+    if counts.ndim != 2 or not counts.size:
+        raise ValueError(f"Success counts must have shape (U, N), given {counts.shape}.")
+    if window < 1 or smoothing < 1:
+        raise ValueError(f"Windows must span at least one update, given {window} and {smoothing}.")
+    made = np.broadcast_to(np.asarray(trials, dtype=float), counts.shape)
+    success = np.divide(counts, made, out=np.full(counts.shape, np.nan), where=made > 0)
+    seen = made > 0
+    pooled_n = _trailing_sum(made, window)
+    low, _ = wilson_bounds(_trailing_sum(counts, window), pooled_n, confidence=confidence)
+    full_run = _mean(success, axis=0)
+    order = np.argsort(-np.nan_to_num(full_run, nan=-1.0), kind="stable")  # ties: the lower stratum first
+    mastered = (low >= 0.5)[:, order]
+    depth = np.cumprod(mastered, axis=1).sum(axis=1)
+    return FrontierAnalysis(
+        success=success,
+        trailing=_ratio(_trailing_sum(np.nan_to_num(success), window), _trailing_sum(seen, window)),
+        order=order.astype(np.int64),
+        depth=depth.astype(np.int64),
+        frontier=trailing_mean(depth, smoothing),
+    )
+
+
+def trailing_mean(values: ArrayLike, window: int) -> Array:
+    """Return the mean of each value and those before it, at most `window` of them, along the first axis."""
+    array = np.asarray(values, dtype=float)
+    return _ratio(_trailing_sum(array, window), _trailing_sum(np.ones_like(array), window))
+
+
+def _trailing_sum(values: ArrayLike, window: int) -> Array:
+    array = np.asarray(values, dtype=float)
+    total: Array = np.cumsum(array, axis=0)
+    total[window:] -= total[:-window].copy()
+    return total
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    return np.asarray(np.divide(numerator, denominator, out=np.full(numerator.shape, np.nan), where=denominator > 0))
+
+
+def _mean(values: Array, *, axis: int) -> Array:
+    known = ~np.isnan(values)
+    return _ratio(np.nan_to_num(values).sum(axis=axis), known.sum(axis=axis).astype(float))

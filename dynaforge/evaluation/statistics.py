@@ -1,0 +1,238 @@
+"""Intervals and tests for success rates: Wilson, McNemar, Newcombe, and a bootstrap over seeds and conditions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaforge.geometry import Array
+
+
+class Interval(NamedTuple):
+    """A confidence interval."""
+
+    low: float
+    high: float
+
+
+def wilson_bounds(successes: ArrayLike, n: ArrayLike, *, confidence: float = 0.95) -> tuple[Array, Array]:
+    """Return the lower and upper Wilson score bounds of success rates, element by element.
+
+    No trials give (0, 1): nothing is known.
+
+    Args:
+        successes, n: Counts of equal or broadcastable shape, 0 <= successes <= n.
+        confidence: Two-sided confidence.
+
+    Raises:
+        ValueError: Counts out of range, or a confidence outside (0, 1).
+    """
+    k, trials = np.broadcast_arrays(np.asarray(successes, dtype=float), np.asarray(n, dtype=float))
+    if np.any(k < 0) or np.any(k > trials):
+        raise ValueError("Successes must lie between 0 and the number of trials.")
+    z = _quantile(confidence)
+    some = np.maximum(trials, 1.0)
+    rate, shrink = k / some, 1.0 + z**2 / some
+    centre = (rate + z**2 / (2 * some)) / shrink
+    half = z * np.sqrt(rate * (1 - rate) / some + z**2 / (4 * some**2)) / shrink
+    # At 0 and n the bounds are exactly 0 and 1; rounding would leave a hair.
+    low = np.where(k == 0, 0.0, centre - half)
+    high = np.where(k == trials, 1.0, centre + half)
+    return low, high
+
+
+def wilson_interval(successes: int, n: int, *, confidence: float = 0.95) -> Interval:
+    """Return the Wilson score interval of one success rate; (0, 1) for n = 0.
+
+    Raises:
+        ValueError: As `wilson_bounds`.
+    """
+    low, high = wilson_bounds(successes, n, confidence=confidence)
+    return Interval(float(low), float(high))
+
+
+@dataclass(frozen=True, slots=True)
+class PairedDifference:
+    """Two generators on the same conditions.
+
+    Attributes:
+        n: Number of pairs.
+        both, only_a, only_b, neither: How many conditions each alone, both or none solved.
+        difference: Success rate of b minus that of a.
+        interval: Newcombe's hybrid score interval of the difference (his method 10).
+        p_value: Exact two-sided McNemar test of "no difference".
+    """
+
+    n: int
+    both: int
+    only_a: int
+    only_b: int
+    neither: int
+    difference: float
+    interval: Interval
+    p_value: float
+
+
+def paired_difference(a: ArrayLike, b: ArrayLike, *, confidence: float = 0.95) -> PairedDifference:
+    """Compare two generators condition by condition: how much better is b than a?
+
+    The p value is McNemar's exact test: under no difference the discordant pairs fall to either side with
+    probability one half. The interval is Newcombe's (1998, Stat. Med. 17:2635, method 10): the Wilson limits of both
+    rates, joined by square-and-add with the continuity-corrected correlation phi. It stays inside [-1, 1] and has
+    sound coverage where the Wald interval fails (few or no discordant pairs).
+
+    Args:
+        a, b: Success of each on condition i, shape (n,).
+
+    Raises:
+        ValueError: Unequal lengths, none at all, or values other than success and failure.
+    """
+    first, second = _outcomes(a), _outcomes(b)
+    if first.shape != second.shape or first.ndim != 1 or not first.size:
+        raise ValueError(f"Pairs need two equal, non-empty vectors; given {first.shape} and {second.shape}.")
+    both = int(np.sum(first & second))
+    only_a = int(np.sum(first & ~second))
+    only_b = int(np.sum(~first & second))
+    n = first.size
+    neither = n - both - only_a - only_b
+    return PairedDifference(
+        n=n,
+        both=both,
+        only_a=only_a,
+        only_b=only_b,
+        neither=neither,
+        difference=(only_b - only_a) / n,
+        interval=_newcombe(both, only_b, only_a, neither, confidence=confidence),
+        p_value=mcnemar_exact(only_a, only_b),
+    )
+
+
+def mcnemar_exact(only_a: int, only_b: int) -> float:
+    """Return the exact two-sided McNemar p value of the two discordant counts; 1 when there are none."""
+    n, least = only_a + only_b, min(only_a, only_b)
+    tail = sum(math.comb(n, k) for k in range(least + 1))
+    return min(1.0, float(2 * tail / 2**n))
+
+
+def _newcombe(both: int, gained: int, lost: int, neither: int, *, confidence: float) -> Interval:
+    n = both + gained + lost + neither
+    k_after, k_before = both + gained, both + lost
+    after, before = k_after / n, k_before / n
+    low_after, high_after = wilson_interval(k_after, n, confidence=confidence)
+    low_before, high_before = wilson_interval(k_before, n, confidence=confidence)
+    product = float(both * neither - gained * lost)
+    if product > 0:
+        product = max(product - n / 2, 0.0)  # the continuity correction of method 10
+    margins = k_after * (n - k_after) * k_before * (n - k_before)
+    phi = product / math.sqrt(margins) if margins else 0.0
+
+    def distance(x: float, y: float) -> float:
+        return math.sqrt(max(x**2 - 2 * phi * x * y + y**2, 0.0))
+
+    difference = after - before
+    low = difference - distance(after - low_after, high_before - before)
+    high = difference + distance(high_after - after, before - low_before)
+    return Interval(low, high)
+
+
+class BootstrapDifference(NamedTuple):
+    """Difference of two training algorithms with its bootstrap interval."""
+
+    difference: float
+    interval: Interval
+    resamples: int
+
+
+def bootstrap_over(
+    a: ArrayLike, b: ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000, confidence: float = 0.95
+) -> BootstrapDifference:
+    """Compare two training algorithms: success rate of b minus that of a, over training seeds and conditions.
+
+    Training seeds are resampled for each algorithm on its own, conditions for both together since they are shared.
+    Percentile interval.
+
+    Args:
+        a, b: Success of training seed s on condition c, shapes (S_a, C) and (S_b, C).
+        rng: Where the resampling draws from.
+
+    Raises:
+        ValueError: The shapes do not fit, or the outcomes are not binary.
+    """
+    first, second = _outcomes(a).astype(float), _outcomes(b).astype(float)
+    if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not first.size or not second.size:
+        raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
+    conditions = _weights(first.shape[1], resamples, rng)
+
+    def rates(outcomes: Array) -> Array:
+        return np.asarray(np.sum((_weights(len(outcomes), resamples, rng) @ outcomes) * conditions, axis=1))
+
+    draws = rates(second) - rates(first)
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(draws, [tail, 1 - tail])
+    return BootstrapDifference(float(second.mean() - first.mean()), Interval(float(low), float(high)), resamples)
+
+
+def _weights(n: int, resamples: int, rng: np.random.Generator) -> Array:
+    return np.asarray(rng.multinomial(n, np.full(n, 1 / n), size=resamples) / n)  # (resamples, n)
+
+
+@dataclass(frozen=True, slots=True)
+class BinComparison:
+    """Whether a change cost any difficulty bin.
+
+    Attributes:
+        bins: Paired difference (after minus before) of each bin, easiest first.
+        lost: Indices of the bins whose whole interval lies below minus the margin.
+    """
+
+    bins: tuple[PairedDifference, ...]
+    lost: tuple[int, ...]
+
+    @property
+    def holds(self) -> bool:
+        """True if no bin was lost."""
+        return not self.lost
+
+
+def no_bin_lost(
+    before: Sequence[ArrayLike] | ArrayLike,
+    after: Sequence[ArrayLike] | ArrayLike,
+    *,
+    margin: float = 0.10,
+    confidence: float = 0.95,
+) -> BinComparison:
+    """Check that no difficulty bin was lost: none has its whole interval of the difference below -10 points.
+
+    Args:
+        before, after: Success on the same conditions, one row a bin, shape (8, 100) by the protocol; rows may
+            also differ in length.
+        margin: What a bin may lose, as a rate.
+
+    Raises:
+        ValueError: Rows do not pair up.
+    """
+    rows_before, rows_after = list(before), list(after)  # type: ignore[arg-type]
+    if len(rows_before) != len(rows_after) or not rows_before:
+        raise ValueError(f"Expected the same bins twice; given {len(rows_before)} and {len(rows_after)}.")
+    pairs = zip(rows_before, rows_after, strict=True)
+    bins = tuple(paired_difference(x, y, confidence=confidence) for x, y in pairs)
+    return BinComparison(bins, tuple(i for i, one in enumerate(bins) if one.interval.high < -margin))
+
+
+def _outcomes(values: ArrayLike) -> NDArray[np.bool_]:
+    array = np.asarray(values)
+    if not np.all((array == 0) | (array == 1)):
+        raise ValueError("Outcomes must be success (1, True) or failure (0, False).")
+    return array.astype(bool)
+
+
+def _quantile(confidence: float) -> float:
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"Confidence must lie between 0 and 1, given {confidence}.")
+    return NormalDist().inv_cdf(0.5 + confidence / 2)

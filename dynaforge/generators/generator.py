@@ -1,0 +1,100 @@
+"""What makes an episode out of a condition: the planner alone, or planner and residual."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos import Episode
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.generators.recording import Recorder
+from dynaforge.sim import Condition
+
+PACKAGES = ("dynaforge", "pybullet", "pin", "toppra", "ruckig", "numpy")
+
+
+class ResidualPolicy(Protocol):
+    """Maps an observation to a residual action in [-1, 1]; picklable."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the residual, shape (d,)."""
+        ...
+
+
+class Generator(Protocol):
+    """Attempts a condition; picklable, so that workers can run it."""
+
+    @property
+    def name(self) -> str:
+        """Its name in ledgers and reports."""
+        ...
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        """Run one episode, successful or not."""
+        ...
+
+
+class ResidualGenerator:
+    """The planning prior with a residual policy on top; exploration is off.
+
+    Args:
+        policy: The residual policy.
+        policy_hash: Digest of its weights, kept with every episode.
+        name: Its name in ledgers and reports.
+    """
+
+    def __init__(self, policy: ResidualPolicy, *, policy_hash: str = "", name: str = "residual") -> None:
+        self.policy = policy
+        self.policy_hash = policy_hash
+        self.name = name
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        """Run one episode and record it."""
+        recorder = Recorder(env.task, env.world.kinematics)
+        env.world.listeners.append(recorder)
+        try:
+            observation, _ = env.reset(options={"condition": condition})
+            done, info, reward = False, dict[str, Any](), 0.0
+            while not done:
+                observation, reward, done, _, info = env.step(self.policy(observation))
+        finally:
+            env.world.listeners.remove(recorder)
+        return Episode(
+            condition=condition,
+            generator=self.name,
+            success=info["is_success"],
+            checkpoint=info["checkpoint"],
+            failure=info["failure"],
+            phase=info["phase"],
+            duration=env.world.state.time,
+            steps=recorder.arrays(reward),
+            meta={
+                "phases": [phase.name for phase in env.task.phases],
+                "policy_hash": self.policy_hash,
+                "versions": {name: version(name) for name in PACKAGES},
+            },
+        )
+
+
+class ConstantResidual:
+    """The same residual at every decision; the oracle draws them at random."""
+
+    def __init__(self, action: NDArray[np.float32]) -> None:
+        self.action = action
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        return self.action
+
+
+class PlannerOnly:
+    """The planning prior alone: the same episode with residual 0."""
+
+    name = "planner_only"
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        """Run one episode and record it."""
+        zero = ConstantResidual(np.zeros(env.action_space.shape or (), np.float32))
+        return ResidualGenerator(zero, name=self.name).attempt(env, condition)

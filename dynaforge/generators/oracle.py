@@ -1,0 +1,44 @@
+"""The oracle ceiling: which conditions a constant residual could win at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynaforge.demos import Episode
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.generators.generator import ConstantResidual, ResidualGenerator
+from dynaforge.sim import Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Oracle:
+    """The best of the planner and `m` constant residuals, uniform within the scale, for each condition.
+
+    It knows the outcome beforehand, so it is a ceiling and no generator; a policy that changes its residual over
+    time may beat it.
+
+    Attributes:
+        m: Constant residuals tried, M.
+        name: Its name in reports.
+    """
+
+    m: int = 64
+    name: str = "oracle"
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        """Return the first successful try, else the one that got furthest."""
+        rng = np.random.default_rng((condition.seed, self.m))
+        shape = env.action_space.shape or ()
+        best: Episode | None = None
+        for k in range(self.m + 1):
+            action = rng.uniform(-1.0, 1.0, shape) if k else np.zeros(shape)
+            policy = ConstantResidual(action.astype(np.float32))
+            episode = ResidualGenerator(policy, name=self.name).attempt(env, condition)
+            if best is None or episode.checkpoint > best.checkpoint:
+                best = episode
+            if episode.success:
+                return episode
+        assert best is not None
+        return best

@@ -1,0 +1,81 @@
+"""Turns the control steps of an episode into the arrays of an `Episode`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.envs.world import ControlStep
+from dynaforge.geometry import Array, Pose
+from dynaforge.planning import ArmKinematics
+from dynaforge.tasks import Task
+
+
+class Recorder:
+    """A listener of `World` that keeps every control step until `arrays` turns them into columns."""
+
+    def __init__(self, task: Task, kinematics: ArmKinematics) -> None:
+        self._task = task
+        self._kinematics = kinematics
+        self._steps: list[ControlStep] = []
+
+    def __call__(self, step: ControlStep) -> None:
+        self._steps.append(step)
+
+    def clear(self) -> None:
+        """Forget what was recorded."""
+        self._steps.clear()
+
+    def arrays(self, final_reward: float) -> dict[str, NDArray[Any]]:
+        """Return one array a quantity, leading dimension T; empty when nothing was recorded.
+
+        Args:
+            final_reward: R of Eq. 6, put at the last step.
+        """
+        steps = self._steps
+        if not steps:
+            return {}
+        before = [s.before for s in steps]
+        held = steps[0].planned is not None and self._task.phases[-1].target.object
+        columns: dict[str, Any] = {
+            "time": [s.time for s in before],
+            "q": [s.q for s in before],
+            "dq": [s.dq for s in before],
+            "ee_position": [s.ee.position for s in before],
+            "ee_quat_wxyz": [s.ee.quat_wxyz for s in before],
+            "width": [s.width for s in before],
+            "residual_action": [s.residual for s in steps],
+            "requested_action": [flat_action(s.requested, s.requested_width) for s in steps],
+            "projected_action": [
+                flat_action(self._kinematics.forward(s.reference.q), s.reference.width) for s in steps
+            ],
+            "joint_reference": [s.reference.q for s in steps],
+            "joint_velocity_reference": [s.reference.dq for s in steps],
+            "width_reference": [s.reference.width for s in steps],
+            "reward": [0.0] * (len(steps) - 1) + [final_reward],
+        }
+        if held:
+            planned = [s.planned for s in steps if s.planned is not None]
+            columns |= {
+                "phase": np.array([a.phase for a in planned], dtype=np.int16),
+                "gate": [a.gate for a in planned],
+                "planner_action": [flat_action(a.target, a.width) for a in planned],
+                "left_contact": [s.touching[held][0] for s in before],
+                "right_contact": [s.touching[held][1] for s in before],
+            }
+        for name in before[0].objects:
+            bodies = [s.objects[name] for s in before]
+            columns |= {
+                f"object/{name}/position": [b.pose.position for b in bodies],
+                f"object/{name}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
+                f"object/{name}/velocity": [b.velocity for b in bodies],
+                f"object/{name}/angular_velocity": [b.angular_velocity for b in bodies],
+            }
+        return {name: np.asarray(column) for name, column in columns.items()}
+
+
+def flat_action(target: Pose, width: float) -> Array:
+    """Lay a target out flat: position (m), quaternion (w, x, y, z), gripper width (m); shape (8,)."""
+    return np.concatenate((target.position, target.quat_wxyz, (width,)))

@@ -1,0 +1,23 @@
+"""Poses, rotations and joint trajectories: pure numpy."""
+
+from dynaforge.geometry.pose import (
+    Array,
+    Pose,
+    matrix_from_quat,
+    matrix_from_rotvec,
+    quat_from_matrix,
+    rotation_z,
+    rotvec_from_matrix,
+)
+from dynaforge.geometry.trajectory import JointTrajectory
+
+__all__ = [
+    "Array",
+    "JointTrajectory",
+    "Pose",
+    "matrix_from_quat",
+    "matrix_from_rotvec",
+    "quat_from_matrix",
+    "rotation_z",
+    "rotvec_from_matrix",
+]

@@ -1,0 +1,18 @@
+"""Kinematics, collision checks, the global planner of the stable phases and the local planner of the dynamic ones."""
+
+from dynaforge.planning.collision import TABLE, CollisionModel, Obstacle
+from dynaforge.planning.global_planner import GlobalPlanner, PlanFailure
+from dynaforge.planning.kinematics import ArmKinematics, IkResult
+from dynaforge.planning.local_planner import JointReference, LocalPlanner
+
+__all__ = [
+    "TABLE",
+    "ArmKinematics",
+    "CollisionModel",
+    "GlobalPlanner",
+    "IkResult",
+    "JointReference",
+    "LocalPlanner",
+    "Obstacle",
+    "PlanFailure",
+]

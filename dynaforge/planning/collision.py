@@ -1,0 +1,181 @@
+"""Collision checks of the arm with itself, the table and fixtures, on coal through Pinocchio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from dynaforge.geometry import Array, Pose
+from dynaforge.planning.kinematics import load_model
+from dynaforge.sim.robot import RobotDescription
+
+Shape = Literal["box", "cylinder", "sphere"]
+
+N_SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
+WORLD = 0  # Pinocchio's index of the joint that everything fixed hangs from
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Obstacle:
+    """A fixed body that the arm must not touch.
+
+    Attributes:
+        name: What `CollisionModel.colliding_pair` calls it.
+        shape: One of "box", "cylinder" (axis z) and "sphere".
+        size: Metres. Box: its three full side lengths; cylinder: radius, length; sphere: radius.
+        T_world_obstacle: Pose of its centre.
+
+    Raises:
+        ValueError: The shape is unknown, or the sizes are not positive or not as many as the shape has.
+    """
+
+    name: str
+    shape: Shape
+    size: tuple[float, ...]
+    T_world_obstacle: Pose
+
+    def __post_init__(self) -> None:
+        if self.shape not in N_SIZES:
+            raise ValueError(f"Obstacle {self.name!r} has shape {self.shape!r}; known are {', '.join(N_SIZES)}.")
+        expected = N_SIZES[self.shape]
+        if len(self.size) != expected or not all(0 < s < math.inf for s in self.size):
+            raise ValueError(
+                f"Obstacle {self.name!r} has size {self.size!r}; "
+                f"a {self.shape} needs {expected} positive length(s) in metres."
+            )
+
+
+TABLE = Obstacle("table", "box", (1.8, 6.0, 0.1), Pose(np.eye(3), np.array((0.2, 0.0, -0.05))))
+"""The table of every scene: its top is z = 0, and the robot's base stands on it."""
+
+
+class CollisionModel:
+    """Tells whether the arm, its fingers open, touches itself, the table or a fixture.
+
+    Links are the convex hulls of their collision meshes. Neighbouring links are not checked against each other, and
+    neither are things that never move apart: the base on its table. A grasped object is not part of the model.
+
+    Args:
+        robot: Geometry of the arm.
+        fixtures: Fixed bodies beside the table.
+        table: The table; None leaves it out.
+        clearance: Distance below which bodies count as touching where a check asks for clearance, metres.
+
+    Raises:
+        ValueError: Two obstacles share a name.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        *,
+        fixtures: Sequence[Obstacle] = (),
+        table: Obstacle | None = TABLE,
+        clearance: float = 0.005,
+    ) -> None:
+        obstacles = (*((table,) if table else ()), *fixtures)
+        names = [obstacle.name for obstacle in obstacles]
+        if len(set(names)) < len(names):
+            raise ValueError(f"Obstacles are named {names}; every name must occur once.")
+        self._model, self._geometry = _with_obstacles(robot, obstacles)
+        self._data = self._model.createData()
+        self._touching = pin.GeometryData(self._geometry)
+        self._near = pin.GeometryData(self._geometry)
+        for request in self._near.collisionRequests:
+            request.security_margin = clearance
+        bodies = [body.name for body in self._geometry.geometryObjects]
+        self._pairs = [(bodies[pair.first], bodies[pair.second]) for pair in self._geometry.collisionPairs]
+
+    def in_collision(self, q: Array, *, clear: bool = False) -> bool:
+        """Return whether the arm touches anything at joint positions q, radians, shape (7,).
+
+        With `clear`, coming nearer than the clearance counts as touching.
+        """
+        results = self._near if clear else self._touching
+        hit: bool = pin.computeCollisions(self._model, self._data, self._geometry, results, q, True)
+        return hit
+
+    def colliding_pair(self, q: Array) -> tuple[str, str] | None:
+        """Return the names of two bodies that touch at q, or None; links are named as in the URDF."""
+        # Without an early stop: results behind the first hit would be those of an earlier call.
+        if not pin.computeCollisions(self._model, self._data, self._geometry, self._touching, q, False):
+            return None
+        results = self._touching.collisionResults
+        return next(pair for pair, result in zip(self._pairs, results, strict=True) if result.isCollision())
+
+    def edge_free(self, q0: Array, q1: Array, *, resolution: float = 0.05, clear: bool = False) -> bool:
+        """Return whether the straight joint-space edge from q0 to q1 is free, ends included.
+
+        The ends are checked first, then the middle, then ever finer: a blocked edge is refused early.
+
+        Args:
+            q0, q1: Ends, radians, shape (7,).
+            resolution: Largest change of any joint between neighbouring checks, radians.
+            clear: Ask for the clearance all along.
+        """
+        n = max(1, math.ceil(float(np.abs(q1 - q0).max()) / resolution))
+        fractions = bisection_order(n)
+        path = q0 + fractions[:, None] * (q1 - q0)
+        return not any(self.in_collision(q, clear=clear) for q in path)
+
+
+@lru_cache(maxsize=256)
+def bisection_order(n: int) -> Array:
+    """Return k / n for k = 0..n, ends first and then halving the gaps, shape (n + 1,)."""
+    order = [0, n]
+    stride = 1 << max(n - 1, 1).bit_length()
+    seen = set(order)
+    while stride >= 1:
+        fresh = [k for k in range(stride, n, stride) if k not in seen]
+        order += fresh
+        seen.update(fresh)
+        stride //= 2
+    return np.array(order) / n
+
+
+@lru_cache(maxsize=4)
+def _arm_hulls(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tuple[Any, Any]:
+    """Return the Pinocchio model and its collision geometry as convex hulls, with the pairs of the arm alone."""
+    model, meshes = load_model(urdf, arm_joints, width_max)
+    geometry = meshes.copy()
+    for body in geometry.geometryObjects:
+        body.name = body.name.removesuffix("_0")  # Pinocchio numbers the shapes of a link; here each has one
+        body.geometry.buildConvexRepresentation(False)
+        body.geometry = body.geometry.convex
+    bodies = geometry.geometryObjects
+    for i in range(len(bodies)):
+        for j in range(i):
+            if abs(bodies[i].parentJoint - bodies[j].parentJoint) > 1:
+                geometry.addCollisionPair(pin.CollisionPair(j, i))
+    return model, geometry
+
+
+def _with_obstacles(robot: RobotDescription, obstacles: Sequence[Obstacle]) -> tuple[Any, Any]:
+    """Add obstacles to a copy of the arm's hulls, each paired with every link that moves."""
+    model, arm = _arm_hulls(robot.urdf, robot.arm_joints, robot.width_max)
+    geometry = arm.copy()
+    links = [i for i, body in enumerate(arm.geometryObjects) if body.parentJoint != WORLD]
+    for obstacle in obstacles:
+        pose = obstacle.T_world_obstacle
+        index = geometry.addGeometryObject(
+            pin.GeometryObject(obstacle.name, WORLD, pin.SE3(pose.rotation, pose.position), _coal_shape(obstacle))
+        )
+        for link in reversed(links):  # the hand is what touches most often: checked first, it ends the check
+            geometry.addCollisionPair(pin.CollisionPair(link, index))
+    return model, geometry
+
+
+def _coal_shape(obstacle: Obstacle) -> Any:
+    if obstacle.shape == "box":
+        return coal.Box(*obstacle.size)
+    if obstacle.shape == "cylinder":
+        return coal.Cylinder(*obstacle.size)
+    return coal.Sphere(*obstacle.size)

@@ -1,0 +1,187 @@
+"""Forward and inverse kinematics of the arm on Pinocchio."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dposv  # type: ignore[import-untyped, unused-ignore]
+
+from dynaforge.geometry import Array, Pose
+from dynaforge.sim.robot import RobotDescription
+
+POSITION_TOLERANCE = 1e-4  # metres
+ROTATION_TOLERANCE = 1e-3  # radians
+MIN_DAMPING = 1e-6
+DAMPING_PER_ERROR = 0.02  # damping grows with the squared error: bold near the target, careful far from it
+MAX_ERROR_STEP = 0.25  # metres and radians: a longer twist is followed in parts, since the Jacobian is local
+READY_PULL = 0.02  # share of the way to the ready pose taken in the null space, once per solve
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkResult:
+    """Answer of an inverse kinematics solve.
+
+    Attributes:
+        q: Joint positions inside the limits, radians, shape (7,).
+        position_error: Distance of the reached from the wanted end-effector position, metres.
+        rotation_error: Angle between reached and wanted orientation, radians.
+        converged: Whether both errors are within tolerance (0.1 mm, 1 mrad).
+    """
+
+    q: Array
+    position_error: float
+    rotation_error: float
+    converged: bool
+
+
+@lru_cache(maxsize=4)
+def load_model(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tuple[Any, Any]:
+    """Load the arm as Pinocchio model and collision geometry, its fingers locked open; memoised in the process."""
+    full = pin.buildModelFromUrdf(str(urdf))
+    geometry = pin.buildGeomFromUrdf(full, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)])
+    locked = [name for name in full.names[1:] if name not in arm_joints]
+    q = pin.neutral(full)
+    for name in locked:
+        q[full.joints[full.getJointId(name)].idx_q] = width_max / 2
+    model, geometry = pin.buildReducedModel(full, geometry, [full.getJointId(name) for name in locked], q)
+    return model, geometry
+
+
+class ArmKinematics:
+    """Where the hand is, how it moves with the joints, and which joints bring it somewhere.
+
+    The end-effector frame is the robot's `ee_link`; the base frame is the world frame.
+
+    Args:
+        robot: Geometry and joint limits.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self.robot = robot
+        self._model, _ = load_model(robot.urdf, robot.arm_joints, robot.width_max)
+        self._data = self._model.createData()
+        self._frame = self._model.getFrameId(robot.ee_link)
+        self._gram = np.empty((6, 6))  # symmetric, so its transpose is the column order LAPACK wants
+        self._gram_diagonal = self._gram.reshape(-1)[::7]
+
+    def forward(self, q: Array) -> Pose:
+        """Return `T_world_ee` at joint positions q, radians, shape (7,)."""
+        placement = self._place(q)
+        return Pose(placement.rotation.copy(), placement.translation.copy())
+
+    def jacobian(self, q: Array) -> Array:
+        """Return the end effector's Jacobian in world axes, shape (6, 7): linear rows (m/rad), then angular ones."""
+        jacobian: Array = pin.computeFrameJacobian(
+            self._model, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
+        return jacobian
+
+    def solve(self, target: Pose, q_seed: Array, *, max_iterations: int = 3) -> IkResult:
+        """Bring the end effector to a target by warm-started damped least squares.
+
+        Each step solves (J J^T + lambda I) y = e for the twist e to the target in the end-effector frame and moves
+        by J^T y, then clamps to the joint limits. The first step also drifts toward the ready pose in the null space.
+        Where the target is out of reach, the result is the clamped configuration of least error that was met: the
+        projection of Eq. 5.
+
+        Args:
+            target: Wanted `T_world_ee`.
+            q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
+            max_iterations: Steps taken at most.
+        """
+        lower, upper = self.robot.q_lower, self.robot.q_upper
+        q = np.minimum(np.maximum(q_seed, lower), upper)
+        goal = pin.SE3(target.rotation, target.position)
+        twist, position_error, rotation_error = self._error(q, goal)
+        best = (q, position_error, rotation_error)
+        for iteration in range(max_iterations):
+            if position_error <= POSITION_TOLERANCE and rotation_error <= ROTATION_TOLERANCE:
+                break
+            q = q + self._step(q, twist, position_error + rotation_error, pull=iteration == 0)
+            np.minimum(np.maximum(q, lower, out=q), upper, out=q)
+            twist, position_error, rotation_error = self._error(q, goal)
+            if position_error + rotation_error < best[1] + best[2]:
+                best = (q, position_error, rotation_error)
+        q, position_error, rotation_error = best
+        converged = position_error <= POSITION_TOLERANCE and rotation_error <= ROTATION_TOLERANCE
+        return IkResult(q, position_error, rotation_error, converged)
+
+    def solve_cold(
+        self,
+        target: Pose,
+        rng: np.random.Generator,
+        *,
+        q_seed: Array,
+        valid: Callable[[Array], bool] = lambda q: True,
+        attempts: int = 24,
+        max_iterations: int = 50,
+    ) -> IkResult:
+        """Search for a configuration that reaches a target, near the seed first.
+
+        Seeds are q_seed, the ready pose, then random configurations.
+
+        Args:
+            target: Wanted `T_world_ee`.
+            rng: Draws the random seeds.
+            q_seed: The configuration to stay near, radians, shape (7,).
+            valid: What else a solution must satisfy, such as being free of collision.
+            attempts: Seeds tried in all.
+            max_iterations: Steps from each seed.
+
+        Returns:
+            The first converged and valid solution; else the converged one met first (`valid` refused them all); else
+            the one of least error, which is not `converged`.
+        """
+        fallback: IkResult | None = None
+        for seed in self._seeds(q_seed, rng, attempts):
+            result = self.solve(target, seed, max_iterations=max_iterations)
+            if result.converged and valid(result.q):
+                return result
+            if fallback is None or _rank(result) < _rank(fallback):
+                fallback = result
+        assert fallback is not None
+        return fallback
+
+    def _seeds(self, q_seed: Array, rng: np.random.Generator, attempts: int) -> Iterator[Array]:
+        yield q_seed
+        yield self.robot.q_ready
+        for _ in range(attempts - 2):
+            yield rng.uniform(self.robot.q_lower, self.robot.q_upper)
+
+    def _place(self, q: Array) -> Any:
+        pin.forwardKinematics(self._model, self._data, q)
+        return pin.updateFramePlacement(self._model, self._data, self._frame)
+
+    def _error(self, q: Array, goal: Any) -> tuple[Array, float, float]:
+        """Return the twist to the goal in the end-effector frame, and its position (m) and rotation (rad) errors."""
+        difference = self._place(q).actInv(goal)
+        twist: Array = pin.log6(difference).vector
+        x, y, z = difference.translation.tolist()
+        *_, a, b, c = twist.tolist()
+        return twist, math.sqrt(x * x + y * y + z * z), math.sqrt(a * a + b * b + c * c)
+
+    def _step(self, q: Array, twist: Array, error: float, *, pull: bool) -> Array:
+        if error > MAX_ERROR_STEP:
+            twist = twist * (MAX_ERROR_STEP / error)
+            error = MAX_ERROR_STEP
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._frame)
+        np.dot(jacobian, jacobian.T, out=self._gram)
+        self._gram_diagonal += MIN_DAMPING + DAMPING_PER_ERROR * error * error
+        if not pull:
+            step: Array = dposv(self._gram.T, twist)[1] @ jacobian
+            return step
+        drift = READY_PULL * (self.robot.q_ready - q)
+        pulled: Array = dposv(self._gram.T, twist - jacobian @ drift)[1] @ jacobian + drift
+        return pulled
+
+
+def _rank(result: IkResult) -> tuple[bool, float]:
+    """Order results: converged ones first and equal, then by error."""
+    return (False, 0.0) if result.converged else (True, result.position_error + result.rotation_error)

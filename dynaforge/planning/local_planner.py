@@ -1,0 +1,151 @@
+"""The local planner: from an end-effector target to a joint reference inside the limits, every control step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import ruckig
+
+from dynaforge.geometry import Array, Pose
+from dynaforge.planning.kinematics import ArmKinematics
+from dynaforge.sim.robot import RobotDescription
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointReference:
+    """What the joint controller is asked for, due at the end of a control step.
+
+    Attributes:
+        q: Joint positions, radians, shape (7,).
+        dq: Joint velocities, rad/s, shape (7,).
+        ddq: Joint accelerations, rad/s^2, shape (7,).
+        width: Opening between the fingers, metres.
+        width_speed: Its rate over the control step, m/s.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    width: float
+    width_speed: float
+
+
+class LocalPlanner:
+    """Holds the joint reference and moves it toward targets inside every limit: the projection of Eq. 5.
+
+    Inverse kinematics starts at the current reference; Ruckig then moves the reference one control step toward the
+    solution under the velocity, acceleration and jerk limits, with target velocity zero (any other would be a
+    prediction). Call `reset` first.
+
+    Args:
+        robot: Its limits.
+        kinematics: Inverse and forward kinematics.
+        dt: Seconds of a control step.
+    """
+
+    def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
+        self.robot, self.kinematics, self.dt = robot, kinematics, dt
+        self._width_step = 2.0 * robot.finger_speed_max * dt
+        self._solver = ruckig.Ruckig(7, dt)
+        self._output = ruckig.OutputParameter(7)
+        self._input = ruckig.InputParameter(7)
+        self._input.max_velocity = robot.dq_max.tolist()
+        self._input.max_acceleration = robot.ddq_max.tolist()
+        self._input.max_jerk = robot.dddq_max.tolist()
+        self._zeros = [0.0] * 7
+        self.reset(robot.q_ready, robot.width_max)
+
+    @property
+    def reference(self) -> JointReference:
+        """Where the command stands."""
+        return self._reference
+
+    @property
+    def projected(self) -> Pose:
+        """`T_world_ee` of the reference: what the limits left of the last target."""
+        return self.kinematics.forward(self._reference.q)
+
+    def reset(self, q: Array, width: float) -> JointReference:
+        """Put the reference at rest at joint positions q (rad, shape (7,)) and an opening (m).
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        _require_finite("q", q)
+        _require_finite("width", width)
+        self._load(q, np.zeros(7), np.zeros(7))
+        self._reference = JointReference(q.copy(), np.zeros(7), np.zeros(7), float(width), 0.0)
+        return self._reference
+
+    def track(self, target: Pose, width: float) -> JointReference:
+        """Move one control step toward an end-effector target.
+
+        Args:
+            target: Wanted `T_world_ee`. Out of reach, the nearest configuration that the solver meets is used.
+            width: Wanted opening, metres.
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        _require_finite("target position", target.position)
+        _require_finite("target rotation", target.rotation)
+        return self._advance(self.kinematics.solve(target, self._reference.q).q, width)
+
+    def to_joints(self, q_target: Array, width: float) -> JointReference:
+        """Move one control step toward joint targets (rad, shape (7,), clamped to the limits) and an opening (m).
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        _require_finite("q_target", q_target)
+        return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
+
+    def follow(self, q: Array, dq: Array, ddq: Array, width: float) -> JointReference:
+        """Take a sample of a planned trajectory as it is; only the opening (m) is ramped.
+
+        Args:
+            q, dq, ddq: The sample due at the end of this control step: rad, rad/s, rad/s^2, shape (7,) each.
+            width: Wanted opening, metres.
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        _require_finite("q", q)
+        _require_finite("dq", dq)
+        _require_finite("ddq", ddq)
+        width, width_speed = self._ramp(width)
+        self._load(q, dq, ddq)
+        self._reference = JointReference(q, dq, ddq, width, width_speed)
+        return self._reference
+
+    def _advance(self, q_goal: Array, width: float) -> JointReference:
+        width, width_speed = self._ramp(width)
+        self._input.target_position = q_goal.tolist()
+        output = self._output
+        result = self._solver.update(self._input, output)
+        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+            raise RuntimeError(f"Ruckig answered {result} on the way to joint targets {q_goal.tolist()}.")
+        q, dq, ddq = np.array((output.new_position, output.new_velocity, output.new_acceleration))
+        output.pass_to_input(self._input)
+        self._reference = JointReference(q, dq, ddq, width, width_speed)
+        return self._reference
+
+    def _ramp(self, width: float) -> tuple[float, float]:
+        """Return the opening one step nearer to the wanted one, and the rate of the step."""
+        _require_finite("width", width)
+        before = self._reference.width
+        wanted = min(max(float(width), 0.0), self.robot.width_max)
+        after = min(max(wanted, before - self._width_step), before + self._width_step)
+        return after, (after - before) / self.dt
+
+    def _load(self, q: Array, dq: Array, ddq: Array) -> None:
+        """Hand Ruckig a state; forget its running trajectory, so that nothing depends on what came before."""
+        self._solver.reset()
+        self._input.current_position, self._input.current_velocity = q.tolist(), dq.tolist()
+        self._input.current_acceleration = ddq.tolist()
+
+
+def _require_finite(name: str, value: Array | float) -> None:
+    if not np.isfinite(value).all():
+        raise ValueError(f"{name} is {np.asarray(value).tolist()}; it must be finite.")

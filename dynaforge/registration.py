@@ -1,0 +1,20 @@
+"""Registers the envs of every task with Gymnasium, by name only: nothing heavy is imported."""
+
+from __future__ import annotations
+
+from gymnasium.envs.registration import register
+
+ENV_NAMES = {"can": "Can"}
+"""Task name to its name in env ids."""
+
+
+def env_id(task: str) -> str:
+    """Return the residual env's id of a task, e.g. "DynaForge/Can-v0"."""
+    return f"DynaForge/{ENV_NAMES[task]}-v0"
+
+
+def register_envs() -> None:
+    """Register `DynaForge/<Task>-v0` and `DynaForge/<Task>Task-v0`."""
+    for task, name in ENV_NAMES.items():
+        register(f"DynaForge/{name}-v0", "dynaforge.envs.residual_env:ResidualEnv", kwargs={"task": task})
+        register(f"DynaForge/{name}Task-v0", "dynaforge.envs.task_env:TaskEnv", kwargs={"task": task})

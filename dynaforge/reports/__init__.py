@@ -1,0 +1,20 @@
+"""Reports: figures, films, and one HTML page that holds them. Needs the `[report]` extra when used."""
+
+from dynaforge.reports.html import Clip, ReportData, ReportFigure, render_report, write_report
+from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, stratum_heatmap
+from dynaforge.reports.video import contact_sheet, encode_gif, encode_mp4
+
+__all__ = [
+    "Clip",
+    "ReportData",
+    "ReportFigure",
+    "contact_sheet",
+    "dgr_by_difficulty",
+    "encode_gif",
+    "encode_mp4",
+    "failure_bars",
+    "learning_curve",
+    "render_report",
+    "stratum_heatmap",
+    "write_report",
+]

@@ -1,0 +1,134 @@
+"""One self-contained HTML page about a run: numbers, figures, clips, ledger, and how to make it again."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dynaforge.demos import Attempt, atomic_write
+from dynaforge.evaluation import DgrReport, PairedDifference, describe_gain
+from dynaforge.reports.extras import load_extra
+from dynaforge.reports.template import PAGE, STYLE
+
+MOST_ATTEMPTS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class ReportFigure:
+    """A figure: PNG or SVG bytes, as the functions of `plots` give them."""
+
+    title: str
+    caption: str
+    image: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """A filmed attempt: MP4 bytes, which condition it was, how it ended and why."""
+
+    mp4: bytes
+    condition_id: str
+    success: bool
+    failure: str = ""
+    caption: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """What a report shows.
+
+    Attributes:
+        title, task: Headline and task name.
+        command: The command line that makes this report again.
+        date: As it shall be printed; passed in, so that equal runs give equal pages.
+        seeds, versions: What to print by name, e.g. {"training seed": 0}, {"numpy": "2.4.0"}.
+        reports: Rates to compare, planner only first.
+        paired: The last report against the first on the same conditions.
+        figures, clips: In the order of showing.
+        attempts: The ledger; the first 500 are listed.
+        notes: Sentences below the summary table.
+    """
+
+    title: str
+    task: str
+    command: str
+    date: str
+    seeds: Mapping[str, Any]
+    versions: Mapping[str, str]
+    reports: Sequence[DgrReport]
+    paired: PairedDifference | None = None
+    figures: Sequence[ReportFigure] = ()
+    clips: Sequence[Clip] = ()
+    attempts: Sequence[Attempt] = ()
+    notes: Sequence[str] = field(default=())
+
+
+def render_report(data: ReportData) -> str:
+    """Return the page as HTML text; everything from the data is escaped, nothing is loaded from elsewhere.
+
+    Raises:
+        ImportError: Jinja2, of the `[report]` extra, is missing.
+        ValueError: A figure is neither PNG nor SVG.
+    """
+    jinja2 = load_extra("jinja2")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(
+        percent=_percent, points=_points, gain=describe_gain, image_url=_image_url, video_url=_video_url
+    )
+    shown = list(data.attempts)[:MOST_ATTEMPTS]
+    page = environment.from_string(PAGE).render(
+        data=data,
+        style=load_extra("markupsafe").Markup(STYLE),
+        reasons=_reasons(data.reports),
+        shown=shown,
+        hidden=len(data.attempts) - len(shown),
+    )
+    return str(page)
+
+
+def write_report(path: str | Path, data: ReportData) -> None:
+    """Write the page, whole or not at all.
+
+    Raises:
+        ImportError, ValueError: As `render_report`.
+        OSError: The folder is missing or not writable, or the disk is full.
+    """
+    atomic_write(path, render_report(data).encode())
+
+
+def _reasons(reports: Sequence[DgrReport]) -> list[str]:
+    totals: dict[str, int] = {}
+    for report in reports:
+        for reason, count in report.failures.items():
+            totals[reason] = totals.get(reason, 0) + count
+    return sorted(totals, key=lambda reason: (-totals[reason], reason))
+
+
+def _percent(rate: float) -> str:
+    return "–" if math.isnan(rate) else f"{100 * rate:.1f} %"
+
+
+def _points(difference: float) -> str:
+    return f"{100 * difference:+.1f}"
+
+
+def _image_url(image: bytes) -> str:
+    if image.startswith(b"\x89PNG"):
+        return _data_url("image/png", image)
+    if b"<svg" in image[:2000]:
+        return _data_url("image/svg+xml", image)
+    raise ValueError("A figure of a report must be PNG or SVG bytes.")
+
+
+def _video_url(mp4: bytes) -> str:
+    return _data_url("video/mp4", mp4)
+
+
+def _data_url(mime: str, content: bytes) -> str:
+    return f"data:{mime};base64,{base64.b64encode(content).decode()}"

@@ -1,0 +1,219 @@
+"""Figures of a report as SVG or PNG bytes, readable at 800 pixels and for the colour-blind.
+
+No pyplot and no global state: each figure is made, drawn and dropped.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dynaforge.evaluation import Count, DgrReport, FrontierAnalysis, trailing_mean
+from dynaforge.evaluation.frontier import WINDOW
+from dynaforge.reports.extras import load_extra
+
+Format = Literal["svg", "png"]
+
+# Okabe and Ito's palette: told apart with any colour vision.
+BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6B7280"
+_CURVES = (BLUE, ORANGE, GREEN, "#CC79A7", "#56B4E9")
+_STYLE = {
+    "font.size": 11,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.titlesize": 12,
+    "axes.titlelocation": "left",
+    "grid.color": "#E5E7EB",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "dynaforge",
+    "legend.frameon": False,
+}
+
+
+def learning_curve(
+    success: Mapping[str, ArrayLike],
+    *,
+    planner_only: float | None = None,
+    final: float | None = None,
+    window: int = WINDOW,
+    fmt: Format = "svg",
+) -> bytes:
+    """Draw success during training: trailing mean as a line, each update as a faint trace.
+
+    Args:
+        success: Success fraction of each update, shape (U,), by the name of the run.
+        planner_only, final: Separately measured rates, drawn as horizontal lines.
+        window: Updates in the trailing mean.
+    """
+    with _drawing((8.0, 4.0)) as (figure, axes):
+        for colour, (name, values) in zip(_cycle(len(success)), success.items(), strict=True):
+            updates = np.arange(1, np.size(values) + 1)
+            axes.plot(updates, np.asarray(values, dtype=float), color=colour, alpha=0.25, linewidth=1)
+            axes.plot(updates, trailing_mean(values, window), color=colour, linewidth=2.2, label=name)
+        levels = (("planner only", planner_only, "--", GREY), ("final policy", final, "-.", RED))
+        for label, level, dash, colour in levels:
+            if level is not None:
+                axes.axhline(level, color=colour, linestyle=dash, linewidth=1.5, label=f"{label} {level:.0%}")
+        _percent(axes, "y")
+        axes.set_xlabel("update")
+        axes.set_ylabel("success in training")
+        axes.grid(axis="y")
+        if axes.get_legend_handles_labels()[1]:
+            figure.legend(loc="outside lower center", ncols=3)
+        return _bytes(figure, fmt)
+
+
+def stratum_heatmap(analysis: FrontierAnalysis, *, fmt: Format = "svg") -> bytes:
+    """Draw each stratum's trailing success over the updates, easiest rank below, with the frontier in red."""
+    with _drawing((8.0, 4.2)) as (figure, axes):
+        updates, strata = analysis.trailing.shape
+        ranked = analysis.trailing[:, analysis.order].T  # (N, U)
+        image = axes.imshow(
+            ranked,
+            aspect="auto",
+            origin="lower",
+            extent=(0.5, updates + 0.5, 0.0, strata),
+            vmin=0.0,
+            vmax=1.0,
+            cmap="cividis",
+            interpolation="nearest",
+        )
+        where = np.arange(1, updates + 1)
+        axes.plot(where, analysis.frontier, color="white", linewidth=4.2)
+        axes.plot(where, analysis.frontier, color="#E00000", linewidth=2.2, label="competence frontier")
+        axes.set_ylim(0.0, strata + 0.02 * strata)
+        labelled = np.arange(strata) if strata <= 20 else np.linspace(0, strata - 1, 12).astype(int)
+        axes.set_yticks(labelled + 0.5, [str(analysis.order[rank] + 1) for rank in labelled])
+        axes.set_xlabel("update")
+        axes.set_ylabel("stratum, ranked by full-run success")
+        bar = figure.colorbar(image, ax=axes, pad=0.02)
+        _percent(bar.ax, "y")
+        bar.set_label(f"success, last {WINDOW} updates")
+        figure.legend(loc="outside lower center")
+        return _bytes(figure, fmt)
+
+
+def dgr_by_difficulty(reports: Sequence[DgrReport], *, unit: str = "", fmt: Format = "svg") -> bytes:
+    """Draw success by difficulty bin with Wilson 95 % error bars, one series a report.
+
+    Args:
+        reports: Over the same bins, e.g. planner only and residual.
+        unit: Unit of the difficulty, e.g. "m/s".
+
+    Raises:
+        ValueError: The bins differ.
+    """
+    edges = np.asarray(reports[0].edges)
+    if any(len(report.edges) != len(edges) or not np.allclose(report.edges, edges) for report in reports):
+        raise ValueError("The reports are over different difficulty bins.")
+    with _drawing((8.0, 4.0)) as (figure, axes):
+        place = np.arange(len(edges) - 1)
+        width = 0.8 / len(reports)
+        colours = (GREY, *_CURVES) if len(reports) > 1 else _CURVES
+        for index, report in enumerate(reports):
+            offset = (index - (len(reports) - 1) / 2) * width
+            heights, errors = _bars(report.bins)
+            axes.bar(
+                place + offset,
+                heights,
+                width * 0.92,
+                yerr=errors,
+                color=colours[index % len(colours)],
+                label=f"{report.label} {report.total.rate:.1%}",
+                error_kw={"ecolor": "#111827", "elinewidth": 1.2, "capsize": 2.5},
+            )
+        labels = [f"{low:.2g}-{high:.2g}" for low, high in itertools.pairwise(edges)]
+        axes.set_xticks(place, labels)
+        _percent(axes, "y")
+        axes.set_xlabel(f"difficulty ({unit})" if unit else "difficulty")
+        axes.set_ylabel("success")
+        axes.grid(axis="y")
+        axes.set_axisbelow(True)
+        figure.legend(loc="outside lower center", ncols=3)
+        return _bytes(figure, fmt)
+
+
+def failure_bars(reports: Sequence[DgrReport], *, most: int = 10, fmt: Format = "svg") -> bytes:
+    """Draw how many attempts each failure reason cost, the costliest on top.
+
+    Args:
+        reports: One series each.
+        most: Reasons to show; the rest are pooled as "other".
+    """
+    reasons = _ranked_reasons(reports, most)
+    with _drawing((8.0, 1.6 + 0.42 * max(len(reasons), 1))) as (figure, axes):
+        height = 0.8 / len(reports)
+        place = np.arange(len(reasons))[::-1]
+        colours = (GREY, *_CURVES) if len(reports) > 1 else _CURVES
+        for index, report in enumerate(reports):
+            counts = [_lost_to(report, reason, reasons) for reason in reasons]
+            offset = ((len(reports) - 1) / 2 - index) * height
+            bars = axes.barh(
+                place + offset, counts, height * 0.9, color=colours[index % len(colours)], label=report.label
+            )
+            axes.bar_label(bars, padding=3, fontsize=9)
+        axes.set_yticks(place, reasons)
+        axes.margins(x=0.1)
+        axes.set_xlabel(f"failed attempts of {', '.join(str(report.n) for report in reports)}")
+        if not reasons:
+            axes.text(0.5, 0.5, "no failures", transform=axes.transAxes, ha="center", va="center")
+        figure.legend(loc="outside lower center", ncols=3)
+        return _bytes(figure, fmt)
+
+
+def _ranked_reasons(reports: Sequence[DgrReport], most: int) -> list[str]:
+    totals: dict[str, int] = {}
+    for report in reports:
+        for reason, count in report.failures.items():
+            totals[reason] = totals.get(reason, 0) + count
+    ranked = sorted(totals, key=lambda reason: (-totals[reason], reason))
+    return ranked if len(ranked) <= most else [*ranked[: most - 1], "other"]
+
+
+def _lost_to(report: DgrReport, reason: str, shown: Sequence[str]) -> int:
+    if reason == "other" and reason not in report.failures:
+        return sum(count for name, count in report.failures.items() if name not in shown)
+    return report.failures.get(reason, 0)
+
+
+def _bars(bins: Sequence[Count]) -> tuple[list[float], list[list[float]]]:
+    heights = [0.0 if math.isnan(one.rate) else one.rate for one in bins]
+    spans = [one.interval if one.n else (0.0, 0.0) for one in bins]
+    below = [max(height - low, 0.0) for height, (low, _) in zip(heights, spans, strict=True)]
+    above = [max(high - height, 0.0) for height, (_, high) in zip(heights, spans, strict=True)]
+    return heights, [below, above]
+
+
+def _cycle(n: int) -> list[str]:
+    return [_CURVES[index % len(_CURVES)] for index in range(n)]
+
+
+def _percent(axes: Any, which: str) -> None:
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    axis.set_major_formatter(load_extra("matplotlib.ticker").PercentFormatter(1.0))
+    if which == "y":
+        axes.set_ylim(0.0, 1.0)
+
+
+@contextmanager
+def _drawing(size: tuple[float, float]) -> Iterator[tuple[Any, Any]]:
+    """Give a styled figure of a size in inches, and its axes."""
+    with load_extra("matplotlib").rc_context(_STYLE):
+        figure = load_extra("matplotlib.figure").Figure(figsize=size, layout="constrained")
+        load_extra("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
+        yield figure, figure.add_subplot()
+
+
+def _bytes(figure: Any, fmt: Format) -> bytes:
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if fmt == "svg" else None  # equal data, equal bytes
+    figure.savefig(buffer, format=fmt, dpi=100, metadata=metadata)
+    return buffer.getvalue()

@@ -1,0 +1,19 @@
+"""Scene, condition, state, robot: everything that touches physics."""
+
+from dynaforge.sim.condition import Condition
+from dynaforge.sim.robot import RobotDescription, franka
+from dynaforge.sim.scene import SimScene
+from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
+from dynaforge.sim.state import BodyState, SceneState
+
+__all__ = [
+    "BodySpec",
+    "BodyState",
+    "Condition",
+    "Launch",
+    "RobotDescription",
+    "SceneSpec",
+    "SceneState",
+    "SimScene",
+    "franka",
+]

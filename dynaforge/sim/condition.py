@@ -1,0 +1,62 @@
+"""The dynamic condition xi: everything the rollouts of a group share."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A dynamic condition xi of the paper: scene initialisation and exogenous motion of one episode.
+
+    Same condition and same actions give a bit-identical episode: every random part of the scene draws from `seed`.
+
+    Attributes:
+        task: Task name, e.g. "can".
+        seed: Seed of everything the named values leave open.
+        difficulty: Nominal difficulty, in the task's own unit (for Can the launch speed, m/s).
+        values: The named parameters of the scene, SI units.
+    """
+
+    task: str
+    seed: int
+    difficulty: float
+    values: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in sorted(self.values.items())}))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Condition, (self.task, self.seed, self.difficulty, dict(self.values))
+
+    def __hash__(self) -> int:
+        return hash(self.id)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data that JSON holds without loss."""
+        return {"task": self.task, "seed": self.seed, "difficulty": self.difficulty, "values": dict(self.values)}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Condition:
+        """Rebuild a condition from `to_dict`.
+
+        Raises:
+            ValueError: A field is missing or unknown.
+        """
+        known = {"task", "seed", "difficulty", "values"}
+        if missing := known - set(data):
+            raise ValueError(f"Condition lacks {sorted(missing)}; it needs {sorted(known)}.")
+        if unknown := set(data) - known:
+            raise ValueError(f"Condition has unknown fields {sorted(unknown)}; known are {sorted(known)}.")
+        return Condition(str(data["task"]), int(data["seed"]), float(data["difficulty"]), dict(data["values"]))
+
+    @property
+    def id(self) -> str:
+        """Sixteen hex digits that name the condition: equal conditions have equal ids in every process."""
+        text = json.dumps(self.to_dict(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]

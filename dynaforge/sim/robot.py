@@ -1,0 +1,70 @@
+"""What the robot is: geometry of the Panda, limits of the Franka Research 3."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dynaforge.geometry import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDescription:
+    """Everything physics and planning must agree on about the arm.
+
+    The end-effector frame `ee` sits between the finger pads: its z axis points out of the hand, its y axis is the
+    direction in which the fingers open. The base frame is the world frame; the table top is at z = 0.
+
+    Attributes:
+        urdf: Path of the robot's URDF.
+        arm_joints: Names of the seven arm joints, base to wrist.
+        finger_joints: Names of the two finger joints.
+        ee_link: Link whose frame is the end-effector frame.
+        q_lower, q_upper: Position limits, radians, shape (7,).
+        dq_max, ddq_max, dddq_max: Velocity, acceleration and jerk limits, shape (7,).
+        q_ready: The pose every episode starts from, radians, shape (7,).
+        effort_max: Joint torque limits, Nm, shape (7,).
+        width_max: Opening between the fingers, metres.
+        finger_speed_max: Speed limit of one finger, m/s; the width changes at most twice as fast.
+        grip_force: Force limit of each finger, newtons.
+    """
+
+    urdf: Path
+    arm_joints: tuple[str, ...]
+    finger_joints: tuple[str, str]
+    ee_link: str
+    q_lower: Array
+    q_upper: Array
+    dq_max: Array
+    ddq_max: Array
+    dddq_max: Array
+    q_ready: Array
+    effort_max: Array
+    width_max: float = 0.08
+    finger_speed_max: float = 0.05
+    grip_force: float = 40.0
+
+
+def franka() -> RobotDescription:
+    """Describe the Panda of `pybullet_data` (Apache-2.0) with the limits of the Franka Research 3.
+
+    Limits: Franka Robotics, FR3 datasheet (velocity and position), FCI documentation (10 rad/s^2, 5000 rad/s^3).
+    Joint 6 stops at 3.75 rad, where the Panda's own geometry ends, and not at the FR3's 4.52.
+    """
+    import pybullet_data  # type: ignore[import-untyped, unused-ignore]
+
+    return RobotDescription(
+        urdf=Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf",
+        arm_joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
+        finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
+        ee_link="panda_grasptarget",
+        q_lower=np.array((-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -2.8973)),
+        q_upper=np.array((2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 3.75, 2.8973)),
+        dq_max=np.array((2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26)),
+        ddq_max=np.full(7, 10.0),
+        dddq_max=np.full(7, 5000.0),
+        q_ready=np.array((0.0, 0.0, 0.0, -2.2, 0.0, 2.2, 0.785)),
+        effort_max=np.array((87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)),
+    )

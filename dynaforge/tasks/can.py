@@ -1,0 +1,93 @@
+"""Can: grasp a rolling drink can and lift it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from dynaforge.geometry import Pose
+from dynaforge.sim import Condition
+from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
+from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
+from dynaforge.tasks.targets import Above, Downstream, Raised
+from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+
+RADIUS = 0.033
+REACH = 0.60
+
+CONDITIONS = ConditionSpace(
+    task="can",
+    difficulty="speed",
+    ranges={
+        # Near static up to the paper's 1.5 m/s at launch.
+        "speed": (0.05, 1.5),
+        # From the right or from the left, by its sign.
+        "side": (-1.0, 1.0),
+        # Up to 20 degrees off the straight line across the workspace.
+        "heading": (-0.35, 0.35),
+        # Where its line crosses the plane ahead of the robot: x, the middle of the reach; y, the offset along the line.
+        "cross_x": (0.42, 0.55),
+        "cross_y": (-0.05, 0.05),
+        # Seconds at launch speed until it enters the reach: the arm needs about 0.7 s to the meeting point.
+        "lead": (0.8, 1.2),
+        # An empty to a full can of food, kg.
+        "mass": (0.1, 0.4),
+        "roll": (0.0, 2 * math.pi),
+    },
+)
+
+
+def launch(condition: Condition) -> Mapping[str, Launch]:
+    """Roll the can without slip along its heading."""
+    v = condition.values
+    angle = math.copysign(math.pi / 2, v["side"]) + v["heading"]
+    x = np.array((math.cos(angle), math.sin(angle), 0.0))
+    z = np.array((0.0, 0.0, 1.0))
+    axis = np.cross(x, z)
+    distance = 0.35 + v["speed"] * v["lead"]
+    position = np.array((v["cross_x"], v["cross_y"], RADIUS)) - distance * x
+    c, s = math.cos(v["roll"]), math.sin(v["roll"])
+    rotation = np.column_stack((c * x + s * z, c * z - s * x, axis))
+    spin = np.cross(z, x) * v["speed"] / RADIUS
+    return {"can": Launch(Pose(rotation, position), v["speed"] * x, spin, v["mass"])}
+
+
+TASK = Task(
+    name="can",
+    env_name="Can",
+    skill="grasp",
+    motion="A can is launched rolling without slip at 0.05 to 1.5 m/s and afterwards moved by physics alone.",
+    randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.4 kg, roll angle.",
+    goal="The can is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    scene=SceneSpec(bodies=(BodySpec("can", "can/can.urdf"),), launch=launch),
+    conditions=CONDITIONS,
+    phases=(
+        Phase(
+            "pregrasp", Mode.GLOBAL, Downstream("can", 0.085, REACH, 0.08), width=0.08,
+            done=All((Reached(0.03), Near("can", 0.30))), timeout=3.0, failure="not reached",
+        ),
+        Phase(
+            "track", Mode.IK, Above("can", 0.085), width=0.08, gate=True,
+            done=Aligned("can", 0.012), hold=0.05, timeout=2.5, failure="lost track",
+        ),
+        Phase(
+            "descend", Mode.IK, Above("can", 0.0), width=0.08, gate=True,
+            done=Aligned("can", 0.02, height=0.012), timeout=1.0, failure="missed descent",
+            track_until=Touched("can"),
+        ),
+        Phase(
+            "close", Mode.IK, Above("can", 0.0), width=0.0, gate=True,
+            done=Grasped("can"), hold=0.1, timeout=0.8, failure="missed close",
+            track_until=Touched("can"),
+        ),
+        Phase(
+            "lift", Mode.GLOBAL, Raised("can", 0.15), width=0.0,
+            done=All((Lifted("can", 0.10), Grasped("can"))), hold=0.25, timeout=2.5, failure="slipped",
+        ),
+    ),
+    impossible=(("dropped", Fallen("can")), ("lost track", Departed("can", 0.75))),
+    residual=ResidualSpec(translation=(0.20, 0.06, 0.10), rotation=(0.0, 0.0, 0.15)),
+)  # fmt: skip

@@ -1,0 +1,116 @@
+"""What a task is: declarative data, one value a task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from dynaforge.sim.spec import SceneSpec
+from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.predicates import Predicate
+from dynaforge.tasks.targets import Target
+
+
+class Mode(StrEnum):
+    """How a phase plans: one global trajectory at its entry, or object-centric IK at every control step."""
+
+    GLOBAL = "global"
+    IK = "ik"
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One phase of the program.
+
+    Attributes:
+        name: Its name in records and reports.
+        mode: Low-frequency global planning or high-frequency IK.
+        target: Object-centric target of Eq. 3.
+        width: Commanded opening between the fingers, metres.
+        done: Success predicate; the phase advances once it held for `hold` seconds.
+        timeout: Seconds after which the episode fails.
+        failure: The reason recorded then.
+        gate: The residual gate m of Eq. 5.
+        hold: Seconds `done` must hold without a break; 0 means one control step.
+        track_until: Once this holds, the target freezes: the hand must not chase what it pushes.
+    """
+
+    name: str
+    mode: Mode
+    target: Target
+    width: float
+    done: Predicate
+    timeout: float
+    failure: str
+    gate: bool = False
+    hold: float = 0.0
+    track_until: Predicate | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSpec:
+    """How a residual action in [-1, 1] becomes a change of the planned target, Eq. 5.
+
+    Attributes:
+        translation: Scale along x, y, z, metres.
+        rotation: Scale of the rotation vector about x, y, z, radians.
+        width: Scale of the gripper width, metres.
+        frame: "target": along and about the heading frame of the phase's object; "world": the base frame.
+        decision_steps: Control steps for which one residual is held.
+    """
+
+    translation: tuple[float, float, float] = (0.06, 0.06, 0.06)
+    rotation: tuple[float, float, float] = (0.15, 0.15, 0.15)
+    width: float = 0.02
+    frame: str = "target"
+    decision_steps: int = 3
+
+    @property
+    def scales(self) -> tuple[float, ...]:
+        """All seven scales: translation, rotation, width; 0 switches a dimension off."""
+        return (*self.translation, *self.rotation, self.width)
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A dynamic manipulation task: the whole of what is specific to it.
+
+    The last phase's success is the task's success; with C phases, it is the C-th checkpoint of Eq. 6.
+
+    Attributes:
+        name: Lower-case name on the command line, e.g. "can".
+        env_name: Name in env ids, e.g. "Can" in "DynaForge/Can-v0".
+        skill: Dominant skill.
+        motion: How the object moves, one sentence.
+        randomisation: What a condition draws and from where, one sentence.
+        goal: What counts as success, one sentence.
+        scene: Bodies and launch.
+        conditions: Ranges of the conditions.
+        phases: The phase program.
+        impossible: (reason, predicate) pairs: once one holds, success is impossible and the episode fails at once.
+        residual: Scales and frame of the residual.
+        camera: (eye, look-at) of the default camera, metres.
+    """
+
+    name: str
+    env_name: str
+    skill: str
+    motion: str
+    randomisation: str
+    goal: str
+    scene: SceneSpec
+    conditions: ConditionSpace
+    phases: tuple[Phase, ...]
+    impossible: tuple[tuple[str, Predicate], ...]
+    residual: ResidualSpec = field(default_factory=ResidualSpec)
+    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.35, -0.75, 0.85), (0.45, 0.0, 0.1))
+
+    @property
+    def n_checkpoints(self) -> int:
+        """C of Eq. 6."""
+        return len(self.phases)
+
+    @property
+    def time_limit(self) -> float:
+        """Seconds after which an episode has surely ended: the sum of the phase timeouts."""
+        return sum(phase.timeout for phase in self.phases)

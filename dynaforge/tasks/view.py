@@ -1,0 +1,49 @@
+"""What targets and predicates read: the measured scene, seen from the running phase."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dynaforge.geometry import Pose, rotation_z
+from dynaforge.sim import SceneState
+
+HEADING_SPEED = 0.02  # m/s: below it a heading keeps its last direction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhaseView:
+    """The scene at one control step, as the running phase sees it.
+
+    Attributes:
+        state: The latest measured scene.
+        entry: The scene at the entry of this phase.
+        start: The scene at t = 0.
+        frames: Heading frame `T_world_heading` of every free body: at its position, x along its velocity on the
+            plane, z up; below 2 cm/s it keeps the last direction.
+        entry_frames: The heading frames at the entry of this phase.
+        lead_time: Seconds of constant-velocity prediction, 0 for the prior as the paper has it.
+    """
+
+    state: SceneState
+    entry: SceneState
+    start: SceneState
+    frames: Mapping[str, Pose]
+    entry_frames: Mapping[str, Pose]
+    lead_time: float = 0.0
+
+
+def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> dict[str, Pose]:
+    """Attach a heading frame to every free body; `previous` holds those of the control step before."""
+    frames = {}
+    for name, body in state.objects.items():
+        vx, vy, _ = body.velocity.tolist()
+        if vx * vx + vy * vy > HEADING_SPEED**2:
+            rotation = rotation_z(math.atan2(vy, vx))
+        elif previous is not None:
+            rotation = previous[name].rotation
+        else:
+            rotation = rotation_z(0.0)
+        frames[name] = Pose(rotation, body.pose.position)
+    return frames

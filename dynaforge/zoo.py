@@ -1,0 +1,6 @@
+"""Leads `python -m dynaforge.zoo train|enjoy ...` to `dynaforge.cli.zoo`: rl_zoo3 with our algorithm and envs."""
+
+from dynaforge.cli.zoo import main
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import inspect
+import os
+import subprocess
+import sys
+from importlib.resources import files
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+from dynaforge.cli import zoo
+
+
+def run(*arguments: str) -> str:
+    """Run the entry point and return the one line it ends with."""
+    with pytest.raises(SystemExit) as ended:
+        zoo.main(list(arguments))
+    message = str(ended.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("arguments", [[], ["trian", "--algo", "ppo"], ["--algo", "ppo"]])
+def test_anything_but_train_and_enjoy_is_refused(arguments: list[str]) -> None:
+    assert "expected 'train' or 'enjoy'" in run(*arguments)
+
+
+def test_unknown_names_are_refused_with_the_closest_match() -> None:
+    assert "Did you mean 'frontier_grpo'?" in run("train", "--algo", "frontier_gpro")
+    assert "Did you mean 'DynaForge/Can-v0'?" in run("train", "--algo", "ppo", "--env", "DynaForge/Cann-v0")
+
+
+def test_a_missing_configuration_file_is_named() -> None:
+    assert "'nowhere.yml'" in run("train", "--algo", "ppo", "-conf", "nowhere.yml")
+
+
+@pytest.mark.parametrize("flags", [["-i", "a.zip"], ["--trained-agent=a.zip"], ["--trained", "a.zip"], ["-ia.zip"]])
+def test_training_on_from_a_checkpoint_needs_trust(flags: list[str]) -> None:
+    assert "a.zip can run code" in run("train", "--algo", "ppo", *flags)
+
+
+def test_enjoy_needs_trust() -> None:
+    assert "--trusted" in run("enjoy", "--algo", "ppo")
+
+
+def test_a_missing_zoo_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "rl_zoo3"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [Missing("rl_zoo3"), *sys.meta_path])
+    message = run("train", "--algo", "frontier_grpo")
+    assert "need rl_zoo3" in message
+    assert "dynaforge[zoo]" in message
+
+
+class Missing:
+    """An import finder for which one package does not exist."""
+
+    def __init__(self, package: str) -> None:
+        self.package = package
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
+        if name.partition(".")[0] == self.package:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def test_registration_reaches_every_module_of_the_zoo() -> None:
+    zoo.register_with_zoo()
+    from rl_zoo3 import enjoy, exp_manager, hyperparams_opt, train
+
+    from dynaforge.algos import FrontierGRPO
+
+    for module in (train, enjoy, exp_manager):
+        assert module.ALGOS["frontier_grpo"] is module.ALGOS["grpo"] is FrontierGRPO
+    assert set(zoo.ALGORITHMS) <= set(hyperparams_opt.HYPERPARAMS_SAMPLER) & set(exp_manager.HYPERPARAMS_CONVERTER)
+
+
+def test_our_hyperparameters_are_taken_only_where_they_speak_of_the_env() -> None:
+    found = zoo.config_file("frontier_grpo", "DynaForge/Can-v0")
+    assert found is not None
+    assert found.name == "frontier_grpo.yml"
+    assert zoo.config_file("frontier_grpo", "CartPole-v1") is not None  # by its default
+    assert zoo.config_file("ppo", "DynaForge/Can-v0") is not None
+    assert zoo.config_file("ppo", "CartPole-v1") is None  # the zoo has its own
+    assert zoo.config_file("sac", "DynaForge/Can-v0") is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "own_vec_env", "own_config"),
+    [
+        (["--algo", "frontier_grpo", "--env", "DynaForge/Can-v0"], True, True),
+        (["--algo", "frontier_grpo", "--env", "DynaForge/Can-v0", "--vec-env", "dummy"], False, True),
+        (["--algo", "frontier_grpo", "--env", "DynaForge/Can-v0", "-conf", "setup.py"], True, False),
+        (["--algo", "ppo", "--env", "CartPole-v1"], False, False),
+    ],
+)
+def test_what_the_zoo_finds_in_the_process(
+    flags: list[str], own_vec_env: bool, own_config: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    zoo.register_with_zoo()
+    from rl_zoo3.exp_manager import ExperimentManager
+
+    from dynaforge.envs.vector_env import SharedMemoryVecEnv
+
+    found: dict[str, Any] = {}
+
+    def look(script: str) -> None:
+        found.update(script=script, argv=sys.argv, vec_env=ExperimentManager.default_vec_env_cls)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(zoo, "_run", look)
+    monkeypatch.chdir(tmp_path)
+    Path("setup.py").touch()
+    before = sys.argv
+    with pytest.raises(KeyboardInterrupt):
+        zoo.main(["train", *flags, "--trusted"])
+    assert found["script"] == "train"
+    assert found["vec_env"] is (SharedMemoryVecEnv if own_vec_env else None)
+    ours = ["--conf-file", str(zoo.config_file("frontier_grpo", "DynaForge/Can-v0"))]
+    assert found["argv"] == ["dynaforge train", *flags, *(ours if own_config else [])]
+    assert sys.argv is before
+    assert ExperimentManager.default_vec_env_cls is None
+
+
+ZOO_KEYS = {"n_timesteps", "n_envs", "env_kwargs", "env_wrapper", "vec_env_wrapper", "normalize", "callback"}
+
+
+@pytest.mark.parametrize("algo", ["frontier_grpo", "grpo", "ppo"])
+def test_every_configured_option_exists(algo: str) -> None:
+    zoo.register_with_zoo()
+    from rl_zoo3 import ALGOS
+
+    constructor = set(inspect.signature(ALGOS[algo].__init__).parameters)
+    for env_id, options in yaml.safe_load(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml").read_text()).items():
+        assert set(options) <= constructor | ZOO_KEYS, env_id
+        assert options["policy"] in ALGOS[algo].policy_aliases
+
+
+def test_vanilla_differs_from_frontier_by_strata_and_filter_alone() -> None:
+    folder = files("dynaforge.zoo_configs")
+    frontier, vanilla = (yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in zoo.ALGORITHMS)
+    assert frontier.keys() == vanilla.keys()
+    for env_id in frontier:
+        wanted = frontier[env_id] | {"group_filter": "none", "stratified": False}
+        assert vanilla[env_id] == wanted
+
+
+def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -> None:
+    from dynaforge.algos import FrontierGRPO
+
+    trial = SimpleNamespace(
+        suggest_float=lambda name, low, high, log=False: high, suggest_categorical=lambda name, choices: choices[0]
+    )
+    sampled = zoo.sample_hyperparameters(trial, n_actions=7, n_envs=1, additional_args={})
+    assert set(sampled) <= set(inspect.signature(FrontierGRPO.__init__).parameters)
+    FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
+    assert sampled["policy_kwargs"]["log_std_init"] == pytest.approx(
+        -0.6931471805599453
+    )  # log of the widest sigma, 0.5
+
+
+def train_and_enjoy(folder: Path, *, train: list[str], enjoy: list[str]) -> tuple[str, str]:
+    """Run both scripts in processes of their own, as a user does."""
+    spoken = []
+    for arguments in (["train", *train, "--num-threads", "1"], ["enjoy", *enjoy, "--no-render", "--trusted"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "dynaforge.zoo", *arguments, "-f", "logs", "--device", "cpu"],
+            cwd=folder,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=100,
+        )
+        assert done.returncode == 0, done.stderr
+        spoken.append(done.stdout)
+    return spoken[0], spoken[1]
+
+
+def test_zoo_trains_saves_and_replays_frontier_grpo(tmp_path: Path) -> None:
+    which = ["--algo", "frontier_grpo", "--env", "CartPole-v1"]
+    small = ["-params", "n_envs:2", "n_groups:2", "group_size:2", "group_filter:'mixed_return'"]
+    trained, enjoyed = train_and_enjoy(
+        tmp_path, train=[*which, "-n", "150", "--seed", "1", *small], enjoy=[*which, "-n", "600"]
+    )
+    assert "zoo_configs/frontier_grpo.yml" in trained
+    run_folder = tmp_path / "logs" / "frontier_grpo" / "CartPole-v1_1"
+    assert (run_folder / "CartPole-v1.zip").is_file()
+    assert (run_folder / "CartPole-v1" / "config.yml").is_file()
+    assert "Loading" in enjoyed
+    assert "Episode" in enjoyed

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from demo_episodes import make_episode
+
+from dynaforge.demos import SCHEMA, DamagedFileError, Episode, read_episode, schema_markdown, write_episode
+from dynaforge.sim import Condition
+
+
+def with_steps(**steps: Any) -> Episode:
+    return Episode(Condition("can", 1, 0.4, {}), "planner", True, 4, "", "lift", 1.0, steps)
+
+
+def test_written_episode_reads_back_bit_for_bit(tmp_path):
+    episode = make_episode()
+    write_episode(tmp_path / "one.h5", episode)
+    back = read_episode(tmp_path / "one.h5")
+    assert back.header() == episode.header()
+    assert back.condition == episode.condition
+    assert set(back.steps) == set(episode.steps)
+    for name, array in episode.steps.items():
+        assert back.steps[name].dtype == array.dtype
+        assert back.steps[name].tobytes() == array.tobytes()
+
+
+def test_file_opens_with_plain_h5py_and_holds_its_header(tmp_path):
+    write_episode(tmp_path / "one.h5", make_episode())
+    with h5py.File(tmp_path / "one.h5") as file:
+        assert '"generator": "planner"' in file.attrs["header"]
+        assert file["steps/object/can/position"].shape == (20, 3)
+
+
+def test_content_hash_changes_with_any_array_and_with_the_header():
+    base = make_episode()
+    touched = dict(base.steps) | {"q": base.steps["q"] + np.eye(20, 7) * 1e-15}
+    other = Episode.from_header(base.header(), touched)
+    renamed = Episode.from_header(base.header() | {"phase": "close"}, base.steps)
+    assert len({base.content_hash(), other.content_hash(), renamed.content_hash()}) == 3
+    assert make_episode().content_hash() == base.content_hash()
+
+
+def test_episode_survives_pickling_between_processes():
+    episode = make_episode()
+    assert pickle.loads(pickle.dumps(episode)).content_hash() == episode.content_hash()
+
+
+def test_steps_are_read_only_copies():
+    time = np.arange(3.0)
+    episode = with_steps(time=time)
+    time[0] = 9.0
+    assert episode.steps["time"][0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        episode.steps["time"][0] = 1.0
+
+
+@pytest.mark.parametrize("position", [*range(0, 600, 7), -1])
+def test_a_single_flipped_bit_is_noticed_and_the_file_named(tmp_path, position):
+    path = tmp_path / "flipped.h5"
+    write_episode(path, make_episode())
+    data = bytearray(path.read_bytes())
+    data[position] ^= 1 << (position % 8)
+    path.write_bytes(data)
+    with pytest.raises(DamagedFileError, match=r"flipped\.h5 is damaged"):
+        read_episode(path)
+
+
+@pytest.mark.parametrize("keep", [0, 100, 512, 4000, -1])
+def test_a_truncated_file_is_noticed_and_named(tmp_path, keep):
+    path = tmp_path / "cut.h5"
+    write_episode(path, make_episode())
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(DamagedFileError, match=r"cut\.h5 is damaged"):
+        read_episode(path)
+
+
+def test_a_file_of_another_kind_is_told_from_a_damaged_one(tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["data"] = np.zeros(3)
+    with pytest.raises(DamagedFileError, match=r"other\.h5 .*does not begin as an episode file"):
+        read_episode(tmp_path / "other.h5")
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ({"time": [0.0, 1.0], "qq": np.zeros((2, 7))}, "Did you mean"),
+        ({"time": [0.0, 1.0], "q": np.zeros((2, 6))}, "'q' has shape"),
+        ({"time": [0.0, 1.0], "q": np.zeros((3, 7))}, "'time' has shape"),
+        ({"time": [0.0, 1.0], "gate": np.zeros(2)}, "'gate' is float64"),
+        ({"time": [0.0, 0.0]}, "must increase"),
+        ({"q": np.zeros((2, 7))}, "need 'time'"),
+        ({"time": [0.0], "planner_action": np.zeros((1, 8)), "requested_action": np.zeros((1, 7))}, "expected"),
+    ],
+)
+def test_steps_outside_the_schema_are_refused(steps, message):
+    with pytest.raises(ValueError, match=message):
+        with_steps(**steps)
+
+
+def test_free_names_go_under_extra():
+    episode = with_steps(**{"time": [0.0], "extra/mine": np.ones((1, 2, 3))})
+    assert episode.steps["extra/mine"].shape == (1, 2, 3)
+
+
+def test_outcome_and_reason_must_agree():
+    condition = Condition("can", 1, 0.4, {})
+    with pytest.raises(ValueError, match="needs a reason"):
+        Episode(condition, "planner", False, 0, "", "", 0.0, {})
+    with pytest.raises(ValueError, match="no failure reason"):
+        Episode(condition, "planner", True, 4, "timeout", "", 0.0, {})
+    with pytest.raises(ValueError, match="'a/b'"):
+        Episode(condition, "a/b", True, 4, "", "", 0.0, {})
+
+
+def test_schema_page_lists_every_name():
+    page = schema_markdown()
+    assert all(f"`{name}`" in page for name in SCHEMA)

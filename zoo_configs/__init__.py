@@ -1,0 +1,1 @@
+"""rl-zoo style hyperparameters per env id. Installs as `dynaforge.zoo_configs`."""
