@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from dynaforge.demos import atomic_write
 
 FORMAT = "dynaforge-policy"
-_ACTIVATIONS = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
+_ACTIVATIONS: dict[str, Callable[[Any], Any]] = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
 
 
 class MlpPolicyFile:
@@ -76,7 +76,7 @@ class MlpPolicyFile:
     def save(self, path: str | Path) -> None:
         """Write the policy, replacing the file as a whole or not at all."""
         header = {"format": FORMAT, "task": self.task, "activation": self.activation, "meta": self.meta}
-        tensors = {}
+        tensors: dict[str, NDArray[np.float32]] = {}
         for k, (weight, bias) in enumerate(self._layers):
             tensors |= {f"{k}.weight": weight, f"{k}.bias": bias}
         atomic_write(Path(path), save(tensors, {"dynaforge": json.dumps(header, sort_keys=True)}))

@@ -29,7 +29,12 @@ def description(task: Task) -> str:
     """Return a page about a task, Markdown, made from its data alone."""
     lines = [f"# {task.env_name}: {task.skill}", "", f"Env id `{env_id(task.name)}`.", ""]
     lines += [f"**Motion.** {task.motion}", "", f"**Randomisation.** {task.randomisation}", ""]
-    lines += [f"**Success.** {task.goal}", "", "| phase | mode | residual | timeout | fails with |", "|---|---|---|---|---|"]
+    lines += [
+        f"**Success.** {task.goal}",
+        "",
+        "| phase | mode | residual | timeout | fails with |",
+        "|---|---|---|---|---|",
+    ]
     for phase in task.phases:
         gate = "on" if phase.gate else "-"
         lines.append(f"| {phase.name} | {phase.mode} | {gate} | {phase.timeout:g} s | {phase.failure} |")

@@ -19,7 +19,9 @@ from dynaforge.tasks import Task
 Frame = NDArray[np.uint8]
 
 
-def film(env: ResidualEnv, generator: Generator, condition: Condition, *, every: int = 2) -> tuple[Episode, list[Frame]]:
+def film(
+    env: ResidualEnv, generator: Generator, condition: Condition, *, every: int = 2
+) -> tuple[Episode, list[Frame]]:
     """Run one attempt and draw every second control step.
 
     Args:
@@ -57,7 +59,9 @@ def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int =
         for attempt in chosen[0] + chosen[1]:
             episode, frames = film(env, generator, attempt.condition)
             caption = f"difficulty {attempt.difficulty:.2f}, ended in phase {episode.phase}"
-            clips.append(Clip(encode_mp4(frames, fps=15), attempt.condition.id, episode.success, episode.failure, caption))
+            clips.append(
+                Clip(encode_mp4(frames, fps=15), attempt.condition.id, episode.success, episode.failure, caption)
+            )
         return clips
     finally:
         env.close()

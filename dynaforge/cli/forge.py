@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +66,10 @@ def run(options: argparse.Namespace) -> int:
     print(f"      it wins {np.mean([a.success for a in before]):.0%}")
 
     seconds = 60 * options.budget * (1 - MEASURING_SHARE) - (time.monotonic() - started)
-    print(f"[2/5] training the residual with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
+    print(f"[2/5] training with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
     trained = train(task, options, out, seconds)
     if trained.interrupted:
-        print(f"interrupted after {len(trained.history.success)} updates; the policy is in {out / 'policy.safetensors'}")
+        print(f"interrupted after {len(trained.history.success)} updates; policy saved: {out / 'policy.safetensors'}")
         return 130
 
     print(f"[3/5] planner and residual on {options.attempts} other fresh conditions")
@@ -133,18 +133,15 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _new_folder(asked: Path | None, task: str) -> Path:
-    if asked is None:
-        number = 1
-        while (asked := Path("runs") / f"{task}-{number}").exists():
-            number += 1
+    folder = asked or next(p for k in count(1) if not (p := Path("runs") / f"{task}-{k}").exists())
     try:
-        asked.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ValueError(f"--out {asked} cannot be made: {error.strerror}. Choose another folder.") from error
-    if any(asked.iterdir()):
-        raise ValueError(f"--out {asked} holds other data. Choose a new or empty folder.")
-    check_writable(asked)
-    return asked
+        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    if any(folder.iterdir()):
+        raise ValueError(f"--out {folder} holds other data. Choose a new or empty folder.")
+    check_writable(folder)
+    return folder
 
 
 def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:
@@ -160,19 +157,20 @@ def _report(task: Task, attempts: list[Attempt]) -> DgrReport:
 
 def _collect(task: Task, generator: Generator, folder: Path, options: argparse.Namespace) -> DemonstrationDataset:
     dataset = DemonstrationDataset(folder, task=task.name)
-    kept, limit = 0, 20 * options.demos
+    limit = 20 * options.demos
     bar = tqdm(total=options.demos, leave=False, unit="demo")
     conditions = islice(task.conditions.stream("train"), limit)
-    for result in run_attempts(task.name, generator, conditions, workers=options.workers, stop=lambda: kept >= options.demos):
+    for result in run_attempts(
+        task.name, generator, conditions, workers=options.workers, stop=lambda: bar.n >= options.demos
+    ):
         if result.episode is None:
             dataset.record(result.attempt)
         else:
             dataset.add(result.episode, wall_seconds=result.attempt.wall_seconds)
-        kept += result.attempt.success
         bar.update(int(result.attempt.success))
     bar.close()
-    if kept < options.demos:
-        print(f"      only {kept} of {limit} attempts succeeded: train longer (--budget)")
+    if bar.n < options.demos:
+        print(f"      only {bar.n} of {limit} attempts succeeded: train longer (--budget)")
     return dataset
 
 

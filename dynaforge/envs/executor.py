@@ -82,6 +82,7 @@ class PhaseExecutor:
         self._planner = planner
         self._dt = control_dt
         self._lead_time = lead_time
+        self._steps = self._held = 0
 
     def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
         """Enter the first phase."""

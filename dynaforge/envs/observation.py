@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,9 +107,10 @@ class ObservationBuilder:
             last_action,
         )
         vector = np.concatenate(parts) / self._scale
-        return np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
+        clipped: NDArray[np.float32] = np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
+        return clipped
 
 
-def is_finite(values: Array) -> bool:
+def is_finite(values: NDArray[Any]) -> bool:
     """Tell whether a short vector holds neither NaN nor infinity; on a few numbers faster than numpy."""
     return math.isfinite(float(values.sum()))

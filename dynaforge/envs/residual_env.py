@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -42,7 +42,7 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         ValueError: Unknown task, gate mode, render mode or frame.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
 
     def __init__(
         self,
@@ -112,19 +112,19 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         """
         if self._condition is None:
             raise RuntimeError("step() before reset(): call env.reset() first.")
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != self.action_space.shape or not is_finite(action):
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self.action_space.shape or not is_finite(values):
             raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
         gated = self.executor.outcome is None and self.executor.action.gate
         if gated:
-            self._last_action = np.clip(action, -1.0, 1.0)
+            self._last_action = np.clip(values, -1.0, 1.0)
         if self.executor.outcome is None:
             self._run_decision(gated)
         if self.gate_mode == "skip":
             self._run_until_gate()
         return self._result(gated)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
         if self.render_mode != "rgb_array":
             return None
@@ -182,4 +182,3 @@ class ResidualEnv(gym.Env[Observation, Observation]):
                 "condition_id": self._condition.id,
             }
         return self._observation(), reward, outcome is not None, False, info
-

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -41,11 +41,9 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         ValueError: Unknown task, action mode or render mode.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
 
-    def __init__(
-        self, task: str | Task = "can", *, action_mode: str = "ee", render_mode: str | None = None
-    ) -> None:
+    def __init__(self, task: str | Task = "can", *, action_mode: str = "ee", render_mode: str | None = None) -> None:
         self.task = get_task(task) if isinstance(task, str) else task
         check_choice("action_mode", action_mode, ACTION_MODES)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
@@ -57,7 +55,7 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
             low, high = (*WORKSPACE_LOW, *[-np.pi] * 3, 0.0), (*WORKSPACE_HIGH, *[np.pi] * 3, robot.width_max)
         else:
             low, high = (*robot.q_lower, 0.0), (*robot.q_upper, robot.width_max)
-        self.action_space = gym.spaces.Box(np.float32(low), np.float32(high), dtype=np.float32)
+        self.action_space = gym.spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
         self.layout = (
             ("q", 7),
             ("dq", 7),
@@ -119,7 +117,7 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
             info = {"is_success": success, "failure": failure, "condition_id": self._condition.id}
         return self._observation(), float(success), bool(success or failure), False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
         if self.render_mode != "rgb_array":
             return None

@@ -104,7 +104,5 @@ def _attempt(condition: Condition) -> Result:
 
 
 def _lost(condition: Condition, generator: str, reason: str) -> Result:
-    attempt = Attempt(
-        condition, generator, success=False, checkpoint=0, failure=reason, phase="", duration=0.0
-    )
+    attempt = Attempt(condition, generator, success=False, checkpoint=0, failure=reason, phase="", duration=0.0)
     return Result(attempt, None)

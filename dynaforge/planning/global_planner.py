@@ -106,9 +106,10 @@ class GlobalPlanner:
         given.current_position, given.current_velocity = q.tolist(), dq.tolist()
         given.current_acceleration = ddq.tolist()
         given.target_velocity = given.target_acceleration = [0.0] * 7
-        result = self._brake_solver.calculate(given, trajectory)
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise PlanFailure("timing failed", f"Ruckig cannot brake from dq = {dq.tolist()}, ddq = {ddq.tolist()}.")
+        try:
+            self._brake_solver.calculate(given, trajectory)
+        except ruckig.RuckigError as error:
+            raise PlanFailure("timing failed", f"no brake from dq {dq.tolist()}, ddq {ddq.tolist()}.") from error
         n = max(1, math.ceil(trajectory.duration / self.dt - 1e-9))
         samples = np.array([trajectory.at_time(k * self.dt) for k in range(n + 1)])  # (n + 1, 3, 7)
         samples[-1, 1:] = 0.0

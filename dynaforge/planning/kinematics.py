@@ -23,6 +23,8 @@ DAMPING_PER_ERROR = 0.02  # damping grows with the squared error: bold near the 
 MAX_ERROR_STEP = 0.25  # metres and radians: a longer twist is followed in parts, since the Jacobian is local
 READY_PULL = 0.02  # share of the way to the ready pose taken in the null space, once per solve
 
+_ONES = np.ones((3, 3))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkResult:
@@ -95,11 +97,20 @@ class ArmKinematics:
             target: Wanted `T_world_ee`.
             q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
             max_iterations: Steps taken at most.
+
+        Raises:
+            ValueError: Target or seed is not finite.
         """
         lower, upper = self.robot.q_lower, self.robot.q_upper
         q = np.minimum(np.maximum(q_seed, lower), upper)
         goal = pin.SE3(target.rotation, target.position)
         twist, position_error, rotation_error = self._error(q, goal)
+        entries = float(np.vdot(target.rotation, _ONES))  # the error alone lets a lone NaN in the rotation through
+        if not math.isfinite(position_error + rotation_error + entries):
+            raise ValueError(
+                f"Target position {target.position.tolist()}, rotation {target.rotation.tolist()} and seed "
+                f"{q_seed.tolist()} must be finite."
+            )
         best = (q, position_error, rotation_error)
         for iteration in range(max_iterations):
             if position_error <= POSITION_TOLERANCE and rotation_error <= ROTATION_TOLERANCE:

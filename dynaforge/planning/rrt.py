@@ -104,8 +104,8 @@ def shortcut(path: list[Array], *, edge_free: EdgeFree, rng: np.random.Generator
         (i, a), (j, b) = sorted(_draw(path, rng) for _ in range(2))
         if i == j:
             continue
-        first = path[i] + a * (path[i + 1] - path[i])
-        second = path[j] + b * (path[j + 1] - path[j])
+        first = (1.0 - a) * path[i] + a * path[i + 1]  # this form hits both ends exactly
+        second = (1.0 - b) * path[j] + b * path[j + 1]
         if edge_free(first, second):
             path[i + 1 : j + 1] = [first, second]
     return _without_repeats(path)
@@ -122,6 +122,7 @@ def _without_repeats(path: list[Array]) -> list[Array]:
     for q in path[1:]:
         if float(np.abs(q - kept[-1]).max()) > 1e-9:
             kept.append(q)
+    kept[-1] = path[-1]  # of points that coincide, the one kept at the end must be the very goal
     return kept
 
 

@@ -24,7 +24,7 @@ class Line(AbstractGeometricPath):  # type: ignore[misc]
     """The straight path between two configurations, radians, shape (n,), over s in [0, 1]."""
 
     def __init__(self, start: Array, end: Array) -> None:
-        self._start, self._change = start, end - start
+        self._start, self._end = start, end
 
     @property
     def dof(self) -> int:
@@ -42,8 +42,9 @@ class Line(AbstractGeometricPath):  # type: ignore[misc]
     def __call__(self, path_positions: Any, order: int = 0) -> Array:
         s = np.asarray(path_positions, dtype=np.float64)[..., None]
         if order == 0:
-            return self._start + s * self._change
-        return np.broadcast_to(self._change if order == 1 else 0.0 * self._change, (*s.shape[:-1], self.dof))
+            return (1.0 - s) * self._start + s * self._end  # this form hits both ends exactly
+        derivative = self._end - self._start if order == 1 else np.zeros(self.dof)
+        return np.broadcast_to(derivative, (*s.shape[:-1], self.dof))
 
 
 class Spline(AbstractGeometricPath):  # type: ignore[misc]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pybullet as p
 from pybullet_utils.bullet_client import BulletClient
 
-from dynaforge.geometry import Array, Pose, matrix_from_quat
+from dynaforge.geometry import Array, Pose
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.spec import SceneSpec, asset_path
@@ -50,6 +50,9 @@ class SimScene:
         self._load_robot()
         self._load_bodies()
         self._saved = self.client.saveState()
+        self._bind_hot_calls()
+        n = spec.substeps
+        self._substep_shares = np.arange(1, n + 1)[:, None] / n
         self._time = 0.0
         self._q_reference = self.robot.q_ready
 
@@ -110,7 +113,7 @@ class SimScene:
                     str(path), [0.0, k, PARKING_HEIGHT], flags=self._flags | p.URDF_USE_INERTIA_FROM_FILE
                 )
             except p.error as error:
-                raise ValueError(f"PyBullet cannot load {path}: is it a well-formed URDF with one root link?") from error
+                raise ValueError(f"PyBullet cannot load {path}: it must be a URDF with one root link.") from error
             client.changeDynamics(
                 index,
                 -1,
@@ -125,11 +128,33 @@ class SimScene:
             self._inertia_per_kg[body.name] = (np.array(inertia) / mass).tolist()
             self.body_ids[body.name] = index
 
+    def _bind_hot_calls(self) -> None:
+        # BulletClient looks every call up anew: a third of the cost of the short ones.
+        client = self.client
+        self._step_physics = client.stepSimulation
+        self._command_arm = partial(client.setJointMotorControlArray, **self._motor)
+        self._finger_motors = [
+            partial(
+                client.setJointMotorControl2, self.robot_id, joint, p.POSITION_CONTROL, force=self.robot.grip_force,
+                positionGain=POSITION_GAIN, velocityGain=VELOCITY_GAIN,
+                maxVelocity=self.robot.finger_speed_max * FINGER_SPEED_MARGIN,
+            )
+            for joint in self._fingers
+        ]  # fmt: skip
+        self._joint_states = partial(client.getJointStates, self.robot_id, self._arm + self._fingers)
+        self._ee_state = partial(client.getLinkState, self.robot_id, self._ee, computeForwardKinematics=1)
+        self._body_pose = client.getBasePositionAndOrientation
+        self._body_twist = client.getBaseVelocity
+        self._contacts = client.getContactPoints
+
     # ---------------------------------------------------------------- episode
 
     def reset(self, condition: Condition) -> SceneState:
         """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches."""
         client = self.client
+        client.restoreState(self._saved)
+        # One step with the bodies parked removes the pairs in contact: a compound keeps its children's caches otherwise.
+        self._step_physics()
         client.restoreState(self._saved)
         for name, launch in self.spec.launch(condition).items():
             body = self.body_ids[name]
@@ -152,42 +177,34 @@ class SimScene:
             width_reference: Opening due at the end of the control step, metres. The finger motors are held to the
                 hand's speed limit, whatever is asked.
         """
-        client, n = self.client, self.spec.substeps
         start = self._q_reference
         velocity = ((q_reference - start) / self.spec.control_dt).tolist()
-        path = start + np.arange(1, n + 1)[:, None] / n * (q_reference - start)
-        self._command_fingers(width_reference)
+        path = start + self._substep_shares * (q_reference - start)
+        for command in self._finger_motors:
+            command(targetPosition=width_reference / 2)
         for q in path.tolist():
-            client.setJointMotorControlArray(**self._motor, targetPositions=q, targetVelocities=velocity)
-            client.stepSimulation()
+            self._command_arm(targetPositions=q, targetVelocities=velocity)
+            self._step_physics()
         self._q_reference = q_reference
         self._time += self.spec.control_dt
         return self.observe()
 
-    def _command_fingers(self, width: float) -> None:
-        for joint in self._fingers:
-            self.client.setJointMotorControl2(
-                self.robot_id, joint, p.POSITION_CONTROL, targetPosition=width / 2, force=self.robot.grip_force,
-                positionGain=POSITION_GAIN, velocityGain=VELOCITY_GAIN, maxVelocity=self.robot.finger_speed_max * FINGER_SPEED_MARGIN,
-            )  # fmt: skip
-
     def observe(self) -> SceneState:
         """Snapshot the scene."""
-        client, robot = self.client, self.robot_id
-        joints = client.getJointStates(robot, self._arm + self._fingers)
-        link = client.getLinkState(robot, self._ee, computeForwardKinematics=1)
+        joints = self._joint_states()
+        link = self._ee_state()
+        left, right = self._fingers
         objects, touching, on_table = {}, {}, {}
         for name, body in self.body_ids.items():
-            position, quat = client.getBasePositionAndOrientation(body)
-            velocity, angular = client.getBaseVelocity(body)
-            objects[name] = BodyState(_pose(position, quat), np.array(velocity), np.array(angular))
-            links = {c[3] for c in client.getContactPoints(robot, body)}
-            touching[name] = (self._fingers[0] in links, self._fingers[1] in links)
-            on_table[name] = bool(client.getContactPoints(body, self.table_id))
+            velocity, angular = self._body_twist(body)
+            objects[name] = BodyState(_pose(*self._body_pose(body)), np.array(velocity), np.array(angular))
+            links = [contact[3] for contact in self._contacts(self.robot_id, body)]
+            touching[name] = (left in links, right in links)
+            on_table[name] = bool(self._contacts(body, self.table_id))
         return SceneState(
             time=self._time,
-            q=np.array([j[0] for j in joints[:7]]),
-            dq=np.array([j[1] for j in joints[:7]]),
+            q=np.array([joint[0] for joint in joints[:7]]),
+            dq=np.array([joint[1] for joint in joints[:7]]),
             ee=_pose(link[4], link[5]),
             width=joints[7][0] + joints[8][0],
             objects=objects,
@@ -204,5 +221,4 @@ class SimScene:
 
 
 def _pose(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:
-    x, y, z, w = quat_xyzw
-    return Pose(matrix_from_quat((w, x, y, z)), np.array(position))
+    return Pose(np.array(p.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3), np.array(position))

@@ -13,9 +13,12 @@ from dynaforge.tasks.view import PhaseView
 
 
 class Target(Protocol):
-    """Turns a view into the desired end-effector pose `T_world_ee`; the name of the object it belongs to."""
+    """Turns a view into the desired end-effector pose `T_world_ee`."""
 
-    object: str
+    @property
+    def object(self) -> str:
+        """Name of the reference object O."""
+        ...
 
     def __call__(self, view: PhaseView) -> Pose:
         """Return `T_world_ee`."""

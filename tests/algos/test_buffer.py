@@ -46,6 +46,11 @@ def test_episode_weights_give_each_episode_one_share():
     assert kept.weights.mean().item() == pytest.approx(1.0)
 
 
+def test_time_order_within_a_job_survives_many_steps():
+    buffer = filled([[(1, t), (0, t)] for t in range(500)])
+    np.testing.assert_array_equal(buffer.observations[:, 0], np.concatenate([np.arange(500), 10 + np.arange(500)]))
+
+
 @pytest.mark.parametrize("batch_size", [1, 3, 4, 100, None])
 def test_minibatches_hold_every_transition_once_in_equal_parts(batch_size):
     kept = filled(ONE_ENV).keep(np.array([True, True]), np.zeros((2, 2)))

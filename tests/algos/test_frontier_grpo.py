@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import zipfile
 from functools import partial
+from typing import ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -15,7 +18,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-from toy_envs import EndlessEnv, MatchEnv
+from toy_envs import EndlessEnv, MatchEnv, TargetSampler
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
@@ -158,6 +161,21 @@ def test_resampling_replaces_filtered_groups_and_stops_at_its_cap(logged):
     assert values["frontier/groups_run"] == 12
     assert model.last_group_success.shape == (4, 4)
     assert model.num_timesteps == 3 * 48
+
+
+def test_replacements_come_from_the_strata_of_the_filtered_groups():
+    class Recording(TargetSampler):
+        drawn: ClassVar[list[int | None]] = []
+
+        def draw(self, rng, stratum=None, n_strata=1):
+            self.drawn.append(stratum)
+            return super().draw(rng, stratum, n_strata)
+
+    model = small(envs(4), condition_sampler=Recording(), resample_max=1, n_groups=8).learn(1)
+    rate = model.last_group_success.mean(axis=1)
+    filtered = np.flatnonzero((rate == 0.0) | (rate == 1.0)).tolist()
+    assert 0 < len(filtered) < 8
+    assert Recording.drawn == [*range(8), *filtered]
 
 
 def test_endless_envs_are_ended_at_the_cap():
@@ -493,7 +511,10 @@ def test_checkpoint_holds_no_env(tmp_path):
     model = small(envs(2)).learn(48)
     model.save(tmp_path / "m")
     with zipfile.ZipFile(tmp_path / "m.zip") as archive:
-        assert b"MatchEnv" not in archive.read("data")
+        values = json.loads(archive.read("data")).values()
+    pickles = [base64.b64decode(v[":serialized:"]) for v in values if isinstance(v, dict) and ":serialized:" in v]
+    assert any(b"CriticFreePolicy" in content for content in pickles)
+    assert not any(b"MatchEnv" in content for content in pickles)
 
 
 def test_equal_seeds_give_equal_models_and_others_do_not():

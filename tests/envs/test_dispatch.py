@@ -47,6 +47,8 @@ def run(dispatcher, todo):
     while dispatcher.busy:
         obs = dispatcher.obs
         tick = dispatcher.step(np.full((dispatcher.n_envs, 1), 0.5, np.float32))
+        assert not tick.rewards[~tick.acted].any()
+        assert not tick.dones[~tick.acted].any()
         for row in np.flatnonzero(tick.acted):
             seen[int(tick.jobs[row])].append(np.array(obs[row]).tolist())
         episodes |= {episode.job.index: episode for episode in tick.finished}
@@ -109,12 +111,14 @@ def test_idle_envs_of_one_process_are_not_stepped():
 
 
 def test_idle_rows_are_quiet_and_counted():
-    dispatcher = EpisodeDispatcher(StockVecEnv([CountingEnv] * 3))
+    env = StockVecEnv([CountingEnv] * 3)
+    dispatcher = EpisodeDispatcher(env)
     dispatcher.submit(jobs([4, 1]))
     actions = np.ones((3, 1), np.float32)
     dispatcher.step(actions)
     tick = dispatcher.step(actions)
     assert tick.acted.tolist() == [True, False, False]
+    assert env.actions[:, 0].tolist() == [1.0, 0.0, 0.0]
     assert tick.rewards.tolist() == [1.0, 0.0, 0.0]
     assert not tick.dones.any()
     assert tick.infos[1:] == [{"idle": True}] * 2

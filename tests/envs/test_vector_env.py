@@ -26,7 +26,7 @@ cloudpickle.register_pickle_by_value(sys.modules[__name__])
 class RandomWalk(gym.Env):
     """Episodes of random length and end; `options` may carry a condition, a fixed length, or a misfortune."""
 
-    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array"]}
     misfortune = ""
 
     def __init__(self, colour=0, render_mode="rgb_array"):
@@ -244,6 +244,7 @@ def test_a_parked_env_idles_until_it_is_assigned_an_episode(make):
 
 def test_an_assignment_interrupts_a_running_episode(make):
     env = make(2)
+    env.set_options({"length": 4})
     env.reset()
     env.step(np.zeros((2, 2)))
     env.assign(1, {"options": {"length": 5}})
