@@ -205,6 +205,7 @@ class EpisodeDispatcher:
         assert job is not None
         if capped:
             info["TimeLimit.truncated"] = True
+            self._route.drop(index)
         last = info.get("terminal_observation")
         info["terminal_observation"] = self._stack.peek(take_rows(raw, index) if last is None else last)
         total, length = float(self._returns[index]), int(self._lengths[index])

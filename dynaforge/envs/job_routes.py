@@ -25,6 +25,9 @@ class JobRoute(Protocol):
     def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
         """Let row `index` start an episode at the next step."""
 
+    def drop(self, index: int) -> None:
+        """Let row `index` leave its episode, where the VecEnv can."""
+
     def step(self, actions: Any) -> Step:
         """Advance all rows by one step."""
 
@@ -63,6 +66,9 @@ class NativeRoute:
             self._parking = True
         self._base.assign(index, dict(reset_kwargs))
 
+    def drop(self, index: int) -> None:
+        """Nothing: the env runs on, unseen, until its episode ends or it is assigned another."""
+
     def step(self, actions: Any) -> Step:
         return cast(Step, self._base.step(actions))
 
@@ -84,6 +90,9 @@ class _EmulatedRoute:
 
     def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
         self._assigned[index] = reset_kwargs
+
+    def drop(self, index: int) -> None:
+        self._running[index] = False
 
     def release(self) -> None:
         self._running[:] = False

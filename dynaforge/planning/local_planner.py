@@ -51,8 +51,8 @@ class LocalPlanner:
         self._solver = ruckig.Ruckig(7, dt)
         self._output = ruckig.OutputParameter(7)
         self._input = ruckig.InputParameter(7)
-        # Synchronised joints trail a moving target by a third more, and Ruckig then fails on targets already reached.
-        self._input.synchronization = ruckig.Synchronization.No
+        # Joints that arrive together keep the hand near the straight line: each for itself, it dips into the object.
+        self._input.synchronization = ruckig.Synchronization.Time
         self._input.max_velocity = robot.dq_max.tolist()
         self._input.max_acceleration = robot.ddq_max.tolist()
         self._input.max_jerk = robot.dddq_max.tolist()
@@ -123,7 +123,13 @@ class LocalPlanner:
         width, width_speed = self._ramp(width)
         self._input.target_position = q_goal.tolist()
         output = self._output
-        self._solver.update(self._input, output)
+        try:
+            self._solver.update(self._input, output)
+        except ruckig.RuckigError:
+            # Synchronisation fails now and then when joints have all but arrived; each for itself always finds a way.
+            self._input.synchronization = ruckig.Synchronization.No
+            self._solver.update(self._input, output)
+            self._input.synchronization = ruckig.Synchronization.Time
         q, dq, ddq = np.array((output.new_position, output.new_velocity, output.new_acceleration))
         output.pass_to_input(self._input)
         self._reference = JointReference(q, dq, ddq, width, width_speed)

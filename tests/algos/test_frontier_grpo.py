@@ -260,6 +260,16 @@ def test_epochs_and_optimizer_steps_are_counted_apart():
     assert model.optimizer_steps == 3 * 4  # 32 gated transitions in parts of at most 10
 
 
+@pytest.mark.parametrize("normalise", [False, True])
+def test_the_first_step_of_an_update_finds_the_policy_that_acted(logged, normalise):
+    env = VecNormalize(envs(3), norm_reward=False) if normalise else envs(3)
+    model = small(env, group_filter="none", n_epochs=1, batch_size=None, learning_rate=1e-2)
+    values = logged(model)
+    model.learn(20 * 48)  # by then actions depend on observations
+    assert abs(values["train/approx_kl"]) < 1e-6
+    assert np.abs(model.policy.action_net.weight.detach().numpy()).max() > 0.01
+
+
 def test_target_kl_ends_an_update():
     model = small(envs(4), group_filter="none", n_epochs=50, learning_rate=0.1, target_kl=0.01).learn(1)
     assert model.optimizer_steps < 50

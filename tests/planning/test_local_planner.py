@@ -62,6 +62,15 @@ def test_a_target_that_stays_is_reached_and_held(local: LocalPlanner, robot: Rob
     np.testing.assert_allclose(reference.dq, 0.0, atol=1e-9)
 
 
+def test_rounding_noise_at_a_target_already_reached_is_harmless(
+    local: LocalPlanner, robot: RobotDescription, rng: np.random.Generator
+) -> None:
+    for _ in range(500):
+        q = rng.uniform(robot.q_lower, robot.q_upper)
+        local.follow(q, 1e-16 * rng.normal(size=7), 1e-15 * rng.normal(size=7), 0.08)
+        np.testing.assert_allclose(local.to_joints(q, 0.08).q, q, atol=1e-12)
+
+
 def test_joint_targets_outside_the_limits_lead_to_the_limit(local: LocalPlanner, robot: RobotDescription) -> None:
     local.reset(robot.q_ready, 0.08)
     for _ in range(100):
