@@ -1,0 +1,1 @@
+"""The `dynaforge` command, one module a subcommand."""

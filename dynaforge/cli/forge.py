@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import shlex
 import sys
@@ -11,7 +12,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from dynaforge.cli.film import film_clips
 from dynaforge.cli.training import History, TrainingMonitor, build_model, hyperparameters, training_env
+from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
 from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, frontier_of_outcomes, paired_difference
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, run_attempts
@@ -37,13 +38,14 @@ from dynaforge.sim import Condition
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
-PACKAGES = ("dynaforge", "stable-baselines3", "torch", "numpy", "pybullet", "pin", "toppra", "ruckig")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `forge`."""
     parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}")
-    parser.add_argument("--budget", type=float, default=12.0, help="minutes of wall time for everything")
+    parser.add_argument(
+        "--budget", type=minutes, default="13m", help="wall time for everything: 90s, 10m, 1.5h, or minutes"
+    )
     parser.add_argument("--updates", type=int, help="stop training after so many updates, even if time is left")
     parser.add_argument("--demos", type=int, default=50, help="successful demonstrations to collect")
     parser.add_argument("--attempts", type=int, default=100, help="fresh conditions of each measurement")
@@ -51,6 +53,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--algo", default="frontier_grpo", help="which file of zoo_configs to train with")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, help="new or empty folder; by default the next free runs/TASK-N")
+
+
+def minutes(text: str) -> float:
+    """Read a span such as "90s", "10m", "1.5h", or a bare number of minutes.
+
+    Raises:
+        argparse.ArgumentTypeError: None of these.
+    """
+    units = {"s": 1 / 60, "m": 1.0, "h": 60.0}
+    try:
+        value = float(text[:-1]) * units[text[-1]] if text[-1:] in units else float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no span of time; write 90s, 10m or 1.5h")
+    return value
 
 
 def run(options: argparse.Namespace) -> int:
@@ -116,7 +134,12 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
             model.learn(10**12, callback=monitor)
         except KeyboardInterrupt:
             interrupted = True
-        meta = {"algo": options.algo, "seed": options.seed, "updates": len(history.success), "versions": _versions()}
+        meta = {
+            "algo": options.algo,
+            "seed": options.seed,
+            "updates": len(history.success),
+            "versions": package_versions(),
+        }
         policy = MlpPolicyFile.of(model, task=task.name, meta=meta)
         policy.save(out / "policy.safetensors")
         model.save(out / "model")
@@ -127,7 +150,7 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
 
 
 def _check(options: argparse.Namespace) -> None:
-    for name, least in (("budget", 1), ("demos", 1), ("attempts", 1), ("workers", 1)):
+    for name, least in (("budget", 0.5), ("demos", 1), ("attempts", 1), ("workers", 1)):
         if getattr(options, name) < least:
             raise ValueError(f"--{name} is {getattr(options, name):g}; it must be at least {least}.")
 
@@ -180,10 +203,15 @@ def _write(
 ) -> None:  # fmt: skip
     command = shlex.join(["dynaforge", *sys.argv[1:]])
     result = {
-        "command": command, "task": task.name, "algo": options.algo, "seed": options.seed, "versions": _versions(),
-        "updates": len(history.success), "reports": [r.to_dict() for r in reports],
+        "command": command,
+        "task": task.name,
+        "algo": options.algo,
+        "seed": options.seed,
+        "versions": package_versions(),
+        "updates": len(history.success),
+        "reports": [report.to_dict() for report in reports],
         "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
-    }  # fmt: skip
+    }
     atomic_write(out / "result.json", json.dumps(result, indent=2).encode())
     figures = [ReportFigure("Success by difficulty", "Wilson 95 % intervals.", dgr_by_difficulty(reports))]
     figures.append(ReportFigure("Why attempts failed", "Attempts lost to each reason.", failure_bars(reports)))
@@ -205,7 +233,7 @@ def _write(
             command=command,
             date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             seeds={"training seed": options.seed, "conditions": "stream test, block 0"},
-            versions=_versions(),
+            versions=package_versions(),
             reports=reports,
             paired=paired,
             figures=figures,
@@ -225,7 +253,3 @@ def _save_history(path: Path, history: History, optimizer_steps: int, transition
         "transitions_used": transitions_used,
     }
     atomic_write(path, json.dumps(data).encode())
-
-
-def _versions() -> dict[str, str]:
-    return {name: version(name) for name in PACKAGES}

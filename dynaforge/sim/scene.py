@@ -153,7 +153,7 @@ class SimScene:
         """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches."""
         client = self.client
         client.restoreState(self._saved)
-        # One step with the bodies parked removes the pairs in contact: a compound keeps its children's caches otherwise.
+        # One step with the bodies parked drops the pairs in contact: a compound would keep its children's caches.
         self._step_physics()
         client.restoreState(self._saved)
         for name, launch in self.spec.launch(condition).items():

@@ -1,0 +1,132 @@
+"""`dynaforge bench`: the project's figures of speed, exactness and limits, measured on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import os
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from dynaforge.cli.bench_determinism import one_trajectory, zero_residual
+from dynaforge.cli.bench_figure import Figure
+from dynaforge.cli.bench_limits import finger_speed, global_planner
+from dynaforge.cli.bench_speed import control_rate, scene_reset
+from dynaforge.cli.bench_vector import vectorised, worker_killed
+from dynaforge.demos import atomic_write, check_writable
+from dynaforge.generators.generator import PACKAGES
+from dynaforge.tasks import TASK_NAMES, Task, get_task
+
+QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs
+
+Measurement = Callable[[Task, int], list[Figure]]
+
+MEASUREMENTS: dict[str, Measurement] = {
+    "finger-speed": lambda task, rounds: finger_speed(task),
+    "zero-residual": lambda task, rounds: zero_residual(task),
+    "one-trajectory": lambda task, rounds: one_trajectory(task),
+    "reset": lambda task, rounds: scene_reset(task, rounds=rounds),
+    "control-steps": lambda task, rounds: control_rate(task, rounds=rounds),
+    "vectorised": lambda task, rounds: vectorised(task, rounds=rounds),
+    "worker-killed": lambda task, rounds: worker_killed(task, rounds=min(rounds, 3)),
+    "global-planner": lambda task, rounds: global_planner(task),
+}
+"""What can be measured, by its name for `--only`, in the order of the table."""
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `bench`."""
+    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(MEASUREMENTS)}")
+    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
+    parser.add_argument(
+        "--out", type=Path, help="write the figures and the rounds behind them here, e.g. results/bench.json"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and print the table; returns 1 when a figure is missed, else 0.
+
+    Raises:
+        ValueError: An unknown name, no rounds, an unknown task.
+        OSError: `--out` cannot be written.
+    """
+    task = get_task(options.task)
+    chosen = _chosen(options.only)
+    if options.rounds < 1:
+        raise ValueError(f"--rounds is {options.rounds}; it must be at least 1.")
+    if options.out is not None:
+        _check_out(options.out)
+    machine = _machine()
+    if machine["load"] > QUIET_LOAD:
+        print(f"note: the load is {machine['load']:.1f}; figures of speed hold only where nothing else runs")
+    start, figures = time.monotonic(), dict[str, list[Figure]]()
+    print("| figure | target | measured | ok |\n|---|---|---|---|", flush=True)
+    for name in chosen:
+        figures[name] = MEASUREMENTS[name](task, options.rounds)
+        for figure in figures[name]:
+            print(
+                f"| {figure.title} | {figure.target} | {figure.measured} | {'yes' if figure.ok else 'NO'} |", flush=True
+            )
+    if options.out is not None:
+        atomic_write(options.out, json.dumps(_record(figures, options, machine), indent=1).encode())
+        print(f"\nwritten to {options.out}")
+    missed = [name for name, found in figures.items() if not all(figure.ok for figure in found)]
+    verdict = f"missed: {', '.join(missed)}" if missed else "every figure is met"
+    print(f"\n{verdict}; took {time.monotonic() - start:.0f} s")
+    return 1 if missed else 0
+
+
+def _chosen(only: Sequence[str] | None) -> list[str]:
+    for name in only or ():
+        if name not in MEASUREMENTS:
+            close = difflib.get_close_matches(name, MEASUREMENTS, n=1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise ValueError(f"No figure {name!r}.{hint} Known are {', '.join(MEASUREMENTS)}.")
+    return [name for name in MEASUREMENTS if only is None or name in only]
+
+
+def _check_out(out: Path) -> None:
+    if out.is_dir():
+        raise ValueError(f"--out {out} is a folder; name a file in it.")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    check_writable(out.parent)
+
+
+def _record(figures: dict[str, list[Figure]], options: argparse.Namespace, machine: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "machine": machine,
+        "versions": {name: version(name) for name in (*PACKAGES, "stable-baselines3", "gymnasium", "torch")},
+        "task": options.task,
+        "rounds": options.rounds,
+        "figures": {name: [asdict(figure) for figure in found] for name, found in figures.items()},
+    }
+
+
+def _machine() -> dict[str, Any]:
+    """Describe processor, cores, and how busy the machine is before anything is measured."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        names = [
+            line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        model = names[0] if names else model
+    return {
+        "cpu": model,
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "load": round(os.getloadavg()[0], 2),
+    }

@@ -1,0 +1,215 @@
+"""Figures of limits: finger speed in physics, and the trajectories of the global planner."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dynaforge.cli.bench_episodes import bench_conditions, run_planner_only
+from dynaforge.cli.bench_figure import Figure, tracked
+from dynaforge.envs.executor import PhaseExecutor
+from dynaforge.envs.world import World
+from dynaforge.geometry import Array, JointTrajectory, Pose, matrix_from_rotvec
+from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, LocalPlanner, Obstacle, PlanFailure
+from dynaforge.sim import SimScene
+from dynaforge.sim.robot import RobotDescription
+from dynaforge.tasks import Task
+from dynaforge.tasks.targets import DOWN_ALONG_X
+
+DENSE = 0.004  # radians of the fastest joint between dense collision checks; the planner's own stand 0.015 apart
+ROUNDING = 1e-9
+STROKE_SECONDS = 1.2  # for a full stroke of 40 mm a finger at 50 mm/s, which takes 0.8 s
+FURNISHED = (
+    Obstacle("post", "cylinder", (0.04, 0.5), Pose(np.eye(3), np.array((0.45, 0.15, 0.25)))),
+    Obstacle("shelf", "box", (0.3, 0.3, 0.03), Pose(np.eye(3), np.array((0.5, -0.3, 0.4)))),
+)
+
+
+def finger_speed(task: Task) -> list[Figure]:
+    """Measure each finger at every physics substep of full strokes, commanded at once and as the local planner ramps.
+
+    Speed is the larger of the joint velocity and the change of joint position in a substep.
+    """
+    spec = task.scene
+    scene = SimScene(replace(spec, control_dt=spec.physics_dt))  # one step is one substep, so all of them are seen
+    condition = bench_conditions(task, 1)[0]
+    speeds: dict[str, float] = {}
+    widths: dict[str, list[float]] = {}
+    for name in ("at once", "ramped"):
+        scene.reset(condition)
+        fastest, ends = 0.0, []
+        for wanted in (0.0, scene.robot.width_max):
+            speed, width = _stroke(scene, _openings(scene, task, wanted, ramped=name == "ramped"))
+            fastest, ends = max(fastest, speed), [*ends, width]
+        speeds[name], widths[name] = fastest, ends
+    scene.close()
+    limit, full = scene.robot.finger_speed_max, scene.robot.width_max
+    travelled = all(closed < 0.05 * full and opened > 0.95 * full for closed, opened in widths.values())
+    measured = ", ".join(f"{1e3 * speed:.2f} mm/s {name}" for name, speed in speeds.items())
+    if not travelled:
+        measured += "; the stroke was not full"
+    raw = {"metres_per_second": speeds, "width_after_close_and_open": widths}
+    ok = travelled and max(speeds.values()) <= limit
+    return [Figure("finger speed, every substep of close and open", f"<= {1e3 * limit:.0f} mm/s", measured, ok, raw)]
+
+
+def _openings(scene: SimScene, task: Task, wanted: float, *, ramped: bool) -> Iterator[float]:
+    """Yield the commanded opening, metres, for every substep of a stroke."""
+    spec, robot = task.scene, scene.robot
+    local = LocalPlanner(robot, ArmKinematics(robot), dt=spec.control_dt)
+    local.reset(robot.q_ready, robot.width_max - wanted)
+    for _ in range(round(STROKE_SECONDS / spec.control_dt)):
+        width = local.to_joints(robot.q_ready, wanted).width if ramped else wanted
+        for _ in range(spec.substeps):
+            yield width
+
+
+def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
+    """Command the openings; return the largest speed of a finger (m/s) and the opening at the end (m)."""
+    client, body = scene.client, scene.robot_id
+    names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
+    fingers = [names.index(name) for name in scene.robot.finger_joints]
+    before = np.array([joint[0] for joint in client.getJointStates(body, fingers)])
+    fastest, width = 0.0, 0.0
+    for opening in openings:
+        width = scene.step(scene.robot.q_ready, opening).width
+        states = client.getJointStates(body, fingers)
+        after = np.array([joint[0] for joint in states])
+        moved = np.abs(after - before).max() / scene.spec.physics_dt
+        fastest = max(fastest, float(moved), *(abs(joint[1]) for joint in states))
+        before = after
+    return fastest, width
+
+
+@dataclass(frozen=True, slots=True)
+class Excess:
+    """How close a trajectory comes to the limits; 1 is the limit.
+
+    Attributes:
+        position: Radians beyond a joint position limit; negative inside.
+        velocity: Largest share of a velocity limit, over samples and over differences of positions.
+        acceleration: Largest share of an acceleration limit, over samples and over differences of velocities.
+        collisions: Configurations in collision on the dense check.
+        started_in_collision: Whether it began in one: these checks then count from the first free configuration.
+    """
+
+    position: float
+    velocity: float
+    acceleration: float
+    collisions: int
+    started_in_collision: bool
+
+    @property
+    def inside(self) -> bool:
+        """Whether every limit is kept and nothing touched."""
+        kept = self.position <= ROUNDING and max(self.velocity, self.acceleration) <= 1.0 + ROUNDING
+        return kept and self.collisions == 0
+
+
+def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: CollisionModel) -> Excess:
+    """Check a trajectory as the arm is commanded along it: straight lines between its samples."""
+    q, dq, ddq, dt = trajectory.q, trajectory.dq, trajectory.ddq, trajectory.dt
+    slopes, changes = np.diff(q, axis=0) / dt, np.diff(dq, axis=0) / dt
+    hits = [collision.in_collision(point) for point in _dense(q)]
+    first_free = hits.index(False) if hits[0] and False in hits else 0
+    return Excess(
+        position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
+        velocity=float((np.abs(np.concatenate((dq, slopes))) / robot.dq_max).max()),
+        acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),
+        collisions=sum(hits[first_free:]),
+        started_in_collision=hits[0],
+    )
+
+
+def _dense(q: Array) -> Iterator[Array]:
+    yield q[0]
+    for start, end in zip(q[:-1], q[1:], strict=True):
+        n = max(1, math.ceil(float(np.abs(end - start).max()) / DENSE))
+        yield from start + np.arange(1, n + 1)[:, None] / n * (end - start)
+
+
+class KeepingPlanner(GlobalPlanner):
+    """A global planner that keeps every trajectory it returns."""
+
+    def __init__(self, robot: RobotDescription, collision: CollisionModel, *, dt: float) -> None:
+        super().__init__(robot, ArmKinematics(robot), collision, dt=dt)
+        self.kept: list[JointTrajectory] = []
+
+    def plan(self, q: Array, dq: Array, ddq: Array, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+        """Plan and keep."""
+        self.kept.append(super().plan(q, dq, ddq, target, rng=rng))
+        return self.kept[-1]
+
+
+def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
+    """Check the global planner's trajectories in episodes, and to random goals over a bare and a furnished table.
+
+    Every other random goal is planned from the middle of the motion before, so from a moving arm.
+
+    Args:
+        task: The task.
+        n: Planner-only episodes, and random goals over each table.
+    """
+    world = World(task)
+    robot, dt = world.scene.robot, task.scene.control_dt
+    planner = KeepingPlanner(robot, CollisionModel(robot), dt=dt)
+    executor = PhaseExecutor(task, planner, control_dt=dt)
+    for condition in tracked(bench_conditions(task, n), "planner in episodes", total=n):
+        run_planner_only(world, executor, condition)
+    world.close()
+    found = {"episodes": (planner.kept, 0, planner.collision)}
+    for name, fixtures in (("bare table", ()), ("furnished table", FURNISHED)):
+        planner = KeepingPlanner(robot, CollisionModel(robot, fixtures=fixtures), dt=dt)
+        failures = _random_goals(planner, n, np.random.default_rng(len(fixtures)))
+        found[name] = (planner.kept, failures, planner.collision)
+    return [_planner_figure(found, robot)]
+
+
+def _random_goals(planner: KeepingPlanner, n: int, rng: np.random.Generator) -> int:
+    """Plan to n random goals in a chain; return how many have no plan."""
+    still = np.zeros(7)
+    q, dq, ddq, failures = planner.robot.q_ready, still, still, 0
+    for k in tracked(range(n), "planner to random goals", total=n):
+        position = rng.uniform((0.3, -0.4, 0.05), (0.65, 0.4, 0.5))
+        turn = matrix_from_rotvec(np.array((0.0, 0.0, rng.uniform(-np.pi / 2, np.pi / 2))))
+        try:
+            trajectory = planner.plan(q, dq, ddq, Pose(turn @ DOWN_ALONG_X, position), rng=rng)
+        except PlanFailure:
+            failures += 1
+            continue
+        at = len(trajectory) // 2 if k % 2 else -1
+        q, dq, ddq = trajectory.q[at], trajectory.dq[at], trajectory.ddq[at]
+    return failures
+
+
+def _planner_figure(
+    found: dict[str, tuple[list[JointTrajectory], int, CollisionModel]], robot: RobotDescription
+) -> Figure:
+    raw: dict[str, Any] = {}
+    every: list[Excess] = []
+    for name, (trajectories, failures, collision) in found.items():
+        results = [examine(t, robot, collision) for t in tracked(trajectories, "dense check", total=len(trajectories))]
+        every += results
+        raw[name] = {
+            "trajectories": len(results),
+            "goals_without_plan": failures,
+            "outside": sum(not result.inside for result in results),
+            "most_position_rad": max((r.position for r in results), default=None),
+            "most_velocity_share": max((r.velocity for r in results), default=None),
+            "most_acceleration_share": max((r.acceleration for r in results), default=None),
+            "colliding": sum(r.collisions > 0 for r in results),
+            "started_in_collision": sum(r.started_in_collision for r in results),
+        }
+    if not every:
+        return Figure("global planner's trajectories", "some", "no plan at all", False, raw)
+    measured = (
+        f"{len(every)} trajectories: nearest position limit {-max(r.position for r in every):.3f} rad away, "
+        f"velocity {max(r.velocity for r in every):.3f}, acceleration {max(r.acceleration for r in every):.3f} "
+        f"of the limit, {sum(r.collisions > 0 for r in every)} collide"
+    )
+    ok = all(result.inside for result in every)
+    return Figure("global planner's trajectories", "inside limits, none collides", measured, ok, raw)

@@ -1,0 +1,150 @@
+"""Figures of speed: exact reset, and control steps per CPU-second against the bare simulator."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from dynaforge.cli.bench_episodes import bench_conditions, run_zero_residual, state_arrays
+from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.world import ControlStep
+from dynaforge.geometry import Array
+from dynaforge.sim import Condition, SceneState, SimScene
+from dynaforge.tasks import Task
+
+RESET_LIMIT = 2e-3  # seconds
+STEPS_BEFORE_RESET = 6
+LEAST_RATIO = 0.65  # control steps per CPU-second, whole stack over bare simulator
+
+
+def scene_reset(task: Task, *, rounds: int = 5, n: int = 40) -> list[Figure]:
+    """Time `SimScene.reset`, in CPU seconds, after episodes and after a few control steps.
+
+    Args:
+        task: The task.
+        rounds: Rounds.
+        n: Resets a round; one in eight follows a whole episode.
+    """
+    env = ResidualEnv(task)
+    scene, robot, conditions = env.world.scene, env.world.scene.robot, bench_conditions(task, n)
+    seconds: list[list[float]] = []
+    for _ in tracked(range(rounds), "reset", total=rounds):
+        seconds.append([])
+        for k, condition in enumerate(conditions):
+            if k % 8 == 0:
+                run_zero_residual(env, condition)
+            else:
+                for _ in range(STEPS_BEFORE_RESET):
+                    scene.step(robot.q_ready, 0.0)
+            begin = time.process_time()
+            scene.reset(condition)
+            seconds[-1].append(time.process_time() - begin)
+    env.close()
+    flat = [value for values in seconds for value in values]
+    worst = max(flat)
+    measured = f"median {1e3 * median(flat):.2f} ms, longest of {len(flat)} {1e3 * worst:.2f} ms"
+    raw = {"cpu_seconds": seconds}
+    return [Figure("exact SimScene.reset", "<= 2 ms of CPU", measured, worst <= RESET_LIMIT, raw)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """The motor commands of one planner-only episode, for the bare loop.
+
+    Attributes:
+        condition: Its condition.
+        commands: For each control step the joint targets of its substeps, their velocity and the opening.
+        end: The last measured state.
+    """
+
+    condition: Condition
+    commands: list[tuple[list[list[float]], list[float], float]]
+    end: SceneState
+
+
+def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
+    """Compare whole planner-only episodes, planning and reset included, with the bare simulator.
+
+    Bare is stepSimulation and one array motor call a substep, replaying the very same episodes: their joint targets
+    are computed beforehand, and resets are outside its clock. The opening is commanded where it changes, since
+    nothing would be gripped otherwise. Each replay must end in the recorded state bit for bit, so both loops simulate
+    the same contacts.
+
+    Args:
+        task: The task.
+        rounds: Rounds; whole stack and bare loop take turns in each.
+        n: Conditions, spread over the difficulty range.
+
+    Raises:
+        RuntimeError: A replay ended elsewhere.
+    """
+    env = ResidualEnv(task)
+    recordings = [_record(env, condition) for condition in bench_conditions(task, n)]
+    steps = sum(len(recording.commands) for recording in recordings)
+    whole, bare = list[float](), list[float]()
+    for _ in tracked(range(rounds), "control steps", total=rounds):
+        begin = time.process_time()
+        for recording in recordings:
+            run_zero_residual(env, recording.condition)
+        whole.append((time.process_time() - begin) / steps)
+        bare.append(sum(replay_bare(env.world.scene, recording) for recording in recordings) / steps)
+    env.close()
+    ratios = [b / w for b, w in zip(bare, whole, strict=True)]
+    measured = (
+        f"{spread(ratios)}: {1 / median(whole):.0f} against {1 / median(bare):.0f} a CPU-second, "
+        f"{n} episodes, {rounds} rounds"
+    )
+    raw: dict[str, Any] = {"whole_cpu_seconds_per_step": whole, "bare_cpu_seconds_per_step": bare, "ratio": ratios}
+    raw |= {"episodes": n, "control_steps": steps}
+    title = "control steps per CPU-second over bare simulator"
+    return [Figure(title, ">= 0.65 (aim 0.75)", measured, median(ratios) >= LEAST_RATIO, raw)]
+
+
+def _record(env: ResidualEnv, condition: Condition) -> Recording:
+    steps: list[ControlStep] = []
+    env.world.listeners.append(steps.append)
+    try:
+        run_zero_residual(env, condition)
+    finally:
+        env.world.listeners.clear()
+    spec = env.task.scene
+    shares = np.arange(1, spec.substeps + 1)[:, None] / spec.substeps
+    commands, start = [], env.world.scene.robot.q_ready
+    for step in steps:
+        q: Array = step.reference.q
+        velocity = ((q - start) / spec.control_dt).tolist()
+        commands.append(((start + shares * (q - start)).tolist(), velocity, step.reference.width))
+        start = q
+    return Recording(condition, commands, steps[-1].after)
+
+
+def replay_bare(scene: SimScene, recording: Recording) -> float:
+    """Replay an episode's motor commands with nothing around them; returns CPU seconds.
+
+    Raises:
+        RuntimeError: It did not end in the recorded state.
+    """
+    scene.reset(recording.condition)
+    # The scene's own bound calls: any other way of calling Bullet is slower and would flatter the ratio.
+    command_arm, step_physics, finger_motors = scene._command_arm, scene._step_physics, scene._finger_motors
+    commanded = None
+    begin = time.process_time()
+    for path, velocity, width in recording.commands:
+        if width != commanded:
+            commanded = width
+            for command in finger_motors:
+                command(targetPosition=width / 2)
+        for q in path:
+            command_arm(targetPositions=q, targetVelocities=velocity)
+            step_physics()
+    seconds = time.process_time() - begin
+    # Index 4 holds time and width: the bare loop keeps no time.
+    pairs = list(zip(state_arrays(scene.observe()), state_arrays(recording.end), strict=True))
+    if not all(np.array_equal(a, b) for i, (a, b) in enumerate(pairs) if i != 4):
+        raise RuntimeError(f"The bare replay of condition {recording.condition.id} left the recorded trajectory.")
+    return seconds

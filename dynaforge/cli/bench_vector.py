@@ -1,0 +1,190 @@
+"""Figures of the vectorised env: what it costs, what it gains, and what happens when a worker dies."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from dynaforge.cli.bench_episodes import Busy, Witness
+from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.envs.vector_env import SharedMemoryVecEnv, WorkerDied
+from dynaforge.registration import env_id
+from dynaforge.tasks import Task
+
+MOST_OVERHEAD = 20e-6  # CPU seconds an env-step beside the env's own
+LEAST_GAIN = 1.7  # times one env's throughput, with two workers
+MOST_ERROR_SECONDS, MOST_CLOSE_SECONDS = 5.0, 2.0
+KILL_AFTER = 0.15  # seconds into the rollout
+
+EnvFn = Callable[[], gym.Env[Any, Any]]
+
+
+def vectorised(
+    task: Task, *, rounds: int = 5, n_envs: int = 16, n_workers: int = 2, n_steps: int = 150
+) -> list[Figure]:
+    """Measure overhead and gain on an env of known cost, and the gain on the task's own env.
+
+    Args:
+        task: The task.
+        rounds: Rounds; vectorised env and single env take turns in each.
+        n_envs: Envs.
+        n_workers: Worker processes.
+        n_steps: Steps of the vectorised env a round.
+    """
+    size = f"{n_envs} envs, {n_workers} workers"
+    overheads, _ = compare(partial(Busy, 2e-4), "overhead", rounds, n_envs, n_workers, n_steps)
+    _, gains = compare(partial(Busy, 1e-3), "gain, 1 ms env", rounds, n_envs, n_workers, n_steps)
+    make = partial(gym.make, env_id(task.name), gate_mode="mask")
+    own_costs, own_gains = compare(make, f"gain, {task.name}", rounds, n_envs, n_workers, n_steps)
+    micro = [1e6 * value for value in overheads]
+    return [
+        Figure(
+            f"vectorised overhead an env-step, {size}", "<= 20 us of CPU", f"{spread(micro, digits=1)} us",
+            median(overheads) <= MOST_OVERHEAD, {"cpu_seconds": overheads},
+        ),
+        Figure(
+            f"throughput over one 1 ms env, {size}", ">= 1.7", spread(gains), median(gains) >= LEAST_GAIN,
+            {"ratio": gains},
+        ),
+        Figure(
+            f"throughput over one {task.env_name} env, {size}", ">= 1.7", spread(own_gains),
+            median(own_gains) >= LEAST_GAIN, {"ratio": own_gains, "cpu_seconds_beside_one_env": own_costs},
+        ),
+    ]  # fmt: skip
+
+
+def compare(
+    make: EnvFn, title: str, rounds: int, n_envs: int, n_workers: int, n_steps: int
+) -> tuple[list[float], list[float]]:
+    """Compare a vectorised env with one env in this process, under the same random actions.
+
+    Returns:
+        For each round the CPU seconds an env-step (this process and workers) beyond the single env's, and the
+        throughput by the wall clock over the single env's.
+    """
+    one = make()
+    env = SharedMemoryVecEnv([_Timed(make)] * n_envs, n_workers=n_workers)
+    overheads, gains = [], []
+    n_alone = n_steps * n_envs // n_workers
+    try:
+        rng = np.random.default_rng(0)
+        actions = rng.uniform(-1, 1, (n_steps, n_envs, *(one.action_space.shape or ()))).astype(np.float32)
+        one.reset(seed=0)
+        env.seed(0)
+        env.reset()
+        for action in actions[:10]:
+            env.step(action)
+        for _ in tracked(range(rounds), title, total=rounds):
+            wall, cpu = time.perf_counter(), time.process_time()
+            for k in range(n_alone):
+                if any(one.step(actions[k % n_steps, k % n_envs])[2:4]):
+                    one.reset()
+            alone = (time.perf_counter() - wall) / n_alone, (time.process_time() - cpu) / n_alone
+            wall, cpu = time.perf_counter(), _processor_time(env)
+            for action in actions:
+                env.step(action)
+            together = (time.perf_counter() - wall, _processor_time(env) - cpu)
+            overheads.append(together[1] / (n_steps * n_envs) - alone[1])
+            gains.append(alone[0] * n_steps * n_envs / together[0])
+    finally:
+        one.close()
+        env.close()
+    return overheads, gains
+
+
+class _Timed:
+    """Makes an env that can tell the processor time of its process."""
+
+    def __init__(self, make: EnvFn) -> None:
+        self._make = make
+
+    def __call__(self) -> gym.Env[Any, Any]:
+        env = self._make()
+        if not hasattr(env.unwrapped, "processor_time"):
+            env.unwrapped.processor_time = partial(Busy.processor_time, None)  # type: ignore[attr-defined, arg-type]
+        return env
+
+
+def _processor_time(env: SharedMemoryVecEnv) -> float:
+    """Return the processor seconds used so far by this process and the workers."""
+    return time.process_time() + sum(dict(env.env_method("processor_time")).values())
+
+
+def worker_killed(task: Task, *, rounds: int = 3, n_envs: int = 4, n_workers: int = 2) -> list[Figure]:
+    """Kill a worker in the middle of a rollout; time the error and `close()`, and look for processes left behind."""
+    raw = [_kill_one(task.name, n_envs, n_workers) for _ in tracked(range(rounds), "worker killed", total=rounds)]
+    error, close = (max(result[name] for result in raw) for name in ("error_seconds", "close_seconds"))
+    orphans = sum(result["orphans"] for result in raw)
+    ok = error <= MOST_ERROR_SECONDS and close <= MOST_CLOSE_SECONDS and orphans == 0
+    measured = f"error in {error:.2f} s, close in {close:.2f} s, {orphans} orphans, {rounds} kills"
+    return [
+        Figure("a worker killed mid-rollout", "error <= 5 s, close <= 2 s, no orphan", measured, ok, {"kills": raw})
+    ]
+
+
+def _kill_one(task: str, n_envs: int, n_workers: int) -> dict[str, Any]:
+    env = SharedMemoryVecEnv([partial(Witness, task, "mask")] * n_envs, n_workers=n_workers)
+    killed_at: list[float] = []
+    try:
+        env.seed(0)
+        env.reset()
+        pids = sorted(set(env.env_method("pid")))
+        threading.Timer(KILL_AFTER, _kill, (pids[-1], killed_at)).start()
+        message = _roll_until_death(env, time.monotonic() + KILL_AFTER + 2 * MOST_ERROR_SECONDS)
+        error_seconds = time.monotonic() - killed_at[0] if killed_at and message else float("inf")
+    finally:
+        begin = time.monotonic()
+        env.close()
+        close_seconds = time.monotonic() - begin
+    orphans = sum(_alive_after(pid, seconds=1.0) for pid in pids)
+    return {"error_seconds": error_seconds, "close_seconds": close_seconds, "orphans": orphans, "error": message}
+
+
+def _roll_until_death(env: SharedMemoryVecEnv, deadline: float) -> str:
+    """Step until the error; return what it says, or nothing when none came."""
+    actions = np.zeros((env.num_envs, *(env.action_space.shape or ())), np.float32)
+    try:
+        while time.monotonic() < deadline:
+            env.step(actions)
+    except WorkerDied as error:
+        return str(error)
+    return ""
+
+
+def _kill(pid: int, killed_at: list[float]) -> None:
+    killed_at.append(time.monotonic())
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+def _alive_after(pid: int, *, seconds: float) -> bool:
+    """Return whether a process still runs after a time in which the system may clear it away."""
+    return all(_runs(pid) for _ in _polls(seconds))
+
+
+def _polls(seconds: float) -> Iterator[None]:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        yield
+        time.sleep(0.02)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with contextlib.suppress(OSError):  # no /proc here, or gone meanwhile: the next poll will tell
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return True

@@ -1,0 +1,143 @@
+"""`dynaforge evaluate`: the demonstration generation rate of generators on the same stored conditions."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import sys
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from dynaforge.cli.versions import package_versions
+from dynaforge.demos import Attempt, atomic_write
+from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference
+from dynaforge.generators import Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.tasks import STREAMS, TASK_NAMES, Task, get_task
+
+GENERATORS = ("planner_only", "residual", "oracle")
+BINS = 8
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `evaluate`."""
+    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}, or all")
+    parser.add_argument("--generator", nargs="+", default=["planner_only"], help=f"of {', '.join(GENERATORS)}")
+    parser.add_argument("--policy", type=Path, help="policy file, for the generator residual")
+    parser.add_argument("--stream", default="val", choices=STREAMS, help="choose on val, report on test")
+    parser.add_argument("--seeds", type=int, default=3, help="blocks of conditions")
+    parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
+    parser.add_argument("--strata", action="store_true", help=f"spread each block evenly over {BINS} difficulty bins")
+    parser.add_argument("--oracle-tries", type=int, default=64, help="constant residuals a condition")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, help="JSON file to write, conditions and outcomes included")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and store."""
+    names = TASK_NAMES if options.task == ["all"] else options.task
+    tasks = [get_task(name) for name in names]
+    for task in tasks:
+        generators = [make_generator(name, task, options) for name in options.generator]
+        measured = {g.name: _attempts(task, g, options) for g in generators}
+        reports = [_report(task, name, attempts) for name, attempts in measured.items()]
+        print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")
+        print(comparison_table(reports))
+        gains = _gains(task, measured)
+        for line in gains["text"]:
+            print(line)
+        for report in reports:
+            print(report.table())
+        if options.out is not None:
+            path = options.out if len(tasks) == 1 else options.out.with_stem(f"{options.out.stem}-{task.name}")
+            _write(path, task, reports, gains, measured)
+            print(f"written to {path}")
+    return 0
+
+
+def make_generator(name: str, task: Task, options: argparse.Namespace) -> Generator:
+    """Make a generator by name.
+
+    Raises:
+        ValueError: Unknown name, or a residual without a policy file.
+    """
+    if name == "planner_only":
+        return PlannerOnly()
+    if name == "oracle":
+        return Oracle(m=options.oracle_tries)
+    if name != "residual":
+        raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
+    if options.policy is None:
+        raise ValueError("The generator 'residual' needs --policy FILE.safetensors, which `dynaforge forge` writes.")
+    from dynaforge.algos.policy_file import MlpPolicyFile
+
+    policy = MlpPolicyFile.load(options.policy, task=task.name)
+    return ResidualGenerator(policy, policy_hash=policy.digest)
+
+
+def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:
+    done: list[Attempt] = []
+    with tqdm(total=options.seeds * options.attempts, leave=False, unit="attempt", desc=generator.name) as bar:
+        for block in range(options.seeds):
+            stream = task.conditions.stream(options.stream, block, n_strata=BINS if options.strata else None)
+            conditions = islice(stream, options.attempts)
+            for result in run_attempts(task.name, generator, conditions, block=block, workers=options.workers):
+                done.append(result.attempt)
+                bar.update()
+    return done
+
+
+def _report(task: Task, name: str, attempts: list[Attempt]) -> DgrReport:
+    return DgrReport.from_attempts(attempts, difficulty_range=task.conditions.difficulty_range, n_bins=BINS, label=name)
+
+
+def _gains(task: Task, measured: dict[str, list[Attempt]]) -> dict[str, Any]:
+    """Compare every generator with the first one, condition by condition."""
+    (first, before), *others = measured.items()
+    result: dict[str, Any] = {"text": []}
+    for name, after in others:
+        paired = paired_difference([a.success for a in before], [a.success for a in after])
+        result["text"].append(f"{name} against {first}: {describe_gain(paired)}")
+        result[name] = {
+            "against": first, "difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value,
+        }  # fmt: skip
+        bins = [[a.success for a in run] for run in (before, after)]
+        if len(before) % BINS == 0 and _evenly_spread(task, before):
+            by_bin = [[run[k::BINS] for k in range(BINS)] for run in bins]
+            verdict = no_bin_lost(*by_bin)
+            result[name]["no_bin_lost"] = {"holds": verdict.holds, "lost": list(verdict.lost)}
+            result["text"].append(f"no bin lost: {'holds' if verdict.holds else f'lost {verdict.lost}'}")
+    return result
+
+
+def _evenly_spread(task: Task, attempts: list[Attempt]) -> bool:
+    """Tell whether attempt i lies in bin i modulo BINS, as `--strata` draws them."""
+    low, high = task.conditions.difficulty_range
+    return all(int((a.difficulty - low) / (high - low) * BINS) == i % BINS for i, a in enumerate(attempts))
+
+
+def _write(
+    path: Path, task: Task, reports: list[DgrReport], gains: dict[str, Any], measured: dict[str, list[Attempt]]
+) -> None:
+    data = {
+        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "versions": package_versions(),
+        "task": task.name,
+        "reports": [report.to_dict() for report in reports],
+        "gains": {name: value for name, value in gains.items() if name != "text"},
+        "conditions": [
+            {"id": a.condition.id, "block": a.block, "difficulty": round(a.difficulty, 4)}
+            for a in next(iter(measured.values()))
+        ],
+        "outcomes": {
+            name: [a.failure if not a.success else "success" for a in attempts] for name, attempts in measured.items()
+        },
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, json.dumps(data, indent=1).encode() + b"\n")

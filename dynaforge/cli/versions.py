@@ -1,0 +1,12 @@
+"""The versions a result depends on."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+
+PACKAGES = ("dynaforge", "stable-baselines3", "torch", "numpy", "pybullet", "pin", "toppra", "ruckig")
+
+
+def package_versions() -> dict[str, str]:
+    """Return the installed version of every package a result depends on."""
+    return {name: version(name) for name in PACKAGES}
