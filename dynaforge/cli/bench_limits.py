@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: Col
 
 def _dense(q: Array) -> Iterator[Array]:
     yield q[0]
-    for start, end in zip(q[:-1], q[1:], strict=True):
+    for start, end in pairwise(q):
         n = max(1, math.ceil(float(np.abs(end - start).max()) / DENSE))
         yield from start + np.arange(1, n + 1)[:, None] / n * (end - start)
 

@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from dynaforge.cli import training
 from dynaforge.cli.film import film_clips
-from dynaforge.cli.training import History, TrainingMonitor, build_model, hyperparameters, training_env
+from dynaforge.cli.training import History, TrainingMonitor
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
 from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, frontier_of_outcomes, paired_difference
@@ -76,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     started = time.monotonic()
     task = get_task(options.task)
     _check(options)
-    hyperparameters(options.algo, task.name)
+    training.hyperparameters(options.algo, task.name)
     out = _new_folder(options.out, task.name)
 
     print(f"[1/5] the planner alone, {options.attempts} fresh conditions")
@@ -124,11 +125,11 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
     """Train until the time or the updates are up; Ctrl-C saves the policy first."""
     from dynaforge.algos.policy_file import MlpPolicyFile
 
-    settings = hyperparameters(options.algo, task.name)
-    env = training_env(task.name, settings.get("n_envs", 32), n_workers=options.workers)
+    settings = training.hyperparameters(options.algo, task.name)
+    env = training.training_env(task.name, settings.get("n_envs", 32), n_workers=options.workers)
     history, interrupted = History(), False
     try:
-        model = build_model(task.name, env, algo=options.algo, seed=options.seed)
+        model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
         monitor = TrainingMonitor(history, seconds=seconds, updates=options.updates)
         try:
             model.learn(10**12, callback=monitor)

@@ -115,11 +115,15 @@ class StratifiedSampler:
         return groups
 
     def jobs(self, groups: Sequence[Group]) -> list[Job]:
-        """Spell out K jobs a group, group by group. The jobs of a group share one reset_kwargs object."""
+        """Spell out K jobs a group, in the order to run them: the first rollout of every group, then the second.
+
+        Run group by group, the last episodes of an update would be the hardest, and every trailing mean, such as
+        rollout/success_rate, would show the hard strata only. The jobs of a group share one reset_kwargs object.
+        """
         return [
             Job(group.index * self.group_size + rollout, group.index, rollout, group.stratum, group.reset_kwargs)
-            for group in groups
             for rollout in range(self.group_size)
+            for group in groups
         ]
 
 

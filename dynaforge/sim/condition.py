@@ -29,7 +29,11 @@ class Condition:
     values: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", MappingProxyType({k: float(v) for k, v in sorted(self.values.items())}))
+        # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
+        object.__setattr__(self, "seed", int(self.seed))
+        object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)
+        values = {name: float(value) + 0.0 for name, value in sorted(self.values.items())}
+        object.__setattr__(self, "values", MappingProxyType(values))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Condition, (self.task, self.seed, self.difficulty, dict(self.values))

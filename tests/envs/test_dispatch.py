@@ -106,8 +106,8 @@ def test_routes_are_chosen_by_what_the_vec_env_offers():
 
 def test_idle_envs_of_one_process_are_not_stepped():
     env = dummy(4)
-    run(EpisodeDispatcher(env, max_episode_steps=6), jobs([6, 1, 9]))  # row 1 goes on to job 2
-    assert [e.taken for e in env.envs] == [6, 7, 0, 0]
+    run(EpisodeDispatcher(env, max_episode_steps=6), jobs([6, 1, 9]))
+    assert [e.taken for e in env.envs] == [6, 1, 6, 0]
     env = dummy(2)
     run(EpisodeDispatcher(env, max_episode_steps=4), jobs([4, 2, 9, 9]))  # capped envs stop there
     assert [e.taken for e in env.envs] == [8, 6]

@@ -33,10 +33,16 @@ def test_without_strata_conditions_come_from_the_whole_range():
 def test_jobs_of_a_group_share_their_condition():
     sampler = StratifiedSampler(4, 3)
     jobs = sampler.jobs(sampler.draw(Recorder(), np.random.default_rng(0)))
-    assert [job.index for job in jobs] == list(range(12))
-    assert [(job.group, job.rollout) for job in jobs[:4]] == [(0, 0), (0, 1), (0, 2), (1, 0)]
-    assert all(job.reset_kwargs is jobs[3 * job.group].reset_kwargs for job in jobs)
-    assert [job.stratum for job in jobs] == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3, 3]
+    assert sorted(job.index for job in jobs) == list(range(12))
+    assert all(job.index == 3 * job.group + job.rollout for job in jobs)
+    assert all(job.reset_kwargs is jobs[job.group].reset_kwargs for job in jobs)
+    assert all(job.stratum == job.group for job in jobs)
+
+
+def test_any_few_jobs_in_a_row_are_spread_over_the_strata():
+    sampler = StratifiedSampler(4, 3)
+    strata = [job.stratum for job in sampler.jobs(sampler.draw(Recorder(), np.random.default_rng(0)))]
+    assert strata == [0, 1, 2, 3] * 3
 
 
 def test_the_generator_alone_decides_what_is_drawn():
@@ -49,7 +55,7 @@ def test_the_generator_alone_decides_what_is_drawn():
 def test_replacements_come_from_the_strata_named_and_continue_the_numbering():
     groups = StratifiedSampler(4, 2).draw(Recorder(), np.random.default_rng(0), strata=[3, 1], first_index=4)
     assert [(group.index, group.condition[:2]) for group in groups] == [(4, (3, 4)), (5, (1, 4))]
-    assert [job.index for job in StratifiedSampler(4, 2).jobs(groups)] == [8, 9, 10, 11]
+    assert [job.index for job in StratifiedSampler(4, 2).jobs(groups)] == [8, 10, 9, 11]
 
 
 def test_equal_seeds_start_equal_episodes():

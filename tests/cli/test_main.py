@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli.main import main
+
+
+def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(arguments) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1, "a user's mistake is answered in one line"
+    return message
+
+
+def test_misspelt_command_is_answered_with_the_close_match(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "Did you mean 'forge'?" in error_of(capsys, "forgee")
+
+
+def test_misspelt_task_is_answered_with_the_close_match(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "No task 'cann'. Did you mean 'can'?" in error_of(capsys, "forge", "--task", "cann")
+    assert "No task 'cann'. Did you mean 'can'?" in error_of(capsys, "evaluate", "--task", "cann")
+
+
+def test_unknown_generator_and_missing_policy_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "No generator 'magic'" in error_of(capsys, "evaluate", "--generator", "magic")
+    assert "needs --policy" in error_of(capsys, "evaluate", "--generator", "residual")
+
+
+def test_forge_refuses_a_folder_with_other_data_and_leaves_it_alone(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    assert "holds other data" in error_of(capsys, "forge", "--out", str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_forge_refuses_a_folder_that_cannot_be_made(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert "cannot be made" in error_of(capsys, "forge", "--out", str(tmp_path / "file" / "run"))
+
+
+def test_forge_names_an_unknown_algorithm_before_it_measures(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert "zoo_configs/magic.yml" in error_of(capsys, "forge", "--algo", "magic", "--out", str(tmp_path / "run"))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("budget", ["-1m", "soon", "0s", "nan"])
+def test_forge_refuses_a_budget_that_is_no_span_of_time(capsys: pytest.CaptureFixture[str], budget: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["forge", f"--budget={budget}"])
+    assert "no span of time" in capsys.readouterr().err
+
+
+def test_list_and_describe_show_what_the_task_data_says(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list"]) == 0
+    assert "DynaForge/Can-v0" in capsys.readouterr().out
+    assert main(["describe", "can"]) == 0
+    page = capsys.readouterr().out
+    for word in ("pregrasp", "track", "descend", "close", "lift", "speed (difficulty) | 0.05 | 1.5"):
+        assert word in page
