@@ -126,7 +126,7 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
     from dynaforge.algos.policy_file import MlpPolicyFile
 
     settings = training.hyperparameters(options.algo, task.name)
-    env = training.training_env(task.name, settings.get("n_envs", 32), n_workers=options.workers)
+    env = training.training_env(task.name, settings["n_envs"], cores=options.workers)
     history, interrupted = History(), False
     try:
         model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)

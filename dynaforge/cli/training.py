@@ -41,9 +41,13 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
     return dict(entry)
 
 
-def training_env(task: str, n_envs: int, *, n_workers: int = 2) -> SharedMemoryVecEnv:
-    """Make the vectorised env to collect in: mask mode, so that no env's long lift stalls the others."""
-    return SharedMemoryVecEnv([partial(gym.make, env_id(task), gate_mode="mask")] * n_envs, n_workers=n_workers)
+def training_env(task: str, n_envs: int, *, cores: int = 2) -> SharedMemoryVecEnv:
+    """Make the vectorised env to collect in.
+
+    Mask mode, so that no env's long lift stalls the others; two workers a core, so that one with less to do leaves
+    its share of the core to the others.
+    """
+    return SharedMemoryVecEnv([partial(gym.make, env_id(task), gate_mode="mask")] * n_envs, n_workers=2 * cores)
 
 
 def build_model(task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any) -> FrontierGRPO:

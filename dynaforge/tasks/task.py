@@ -103,7 +103,7 @@ class Task:
     phases: tuple[Phase, ...]
     impossible: tuple[tuple[str, Predicate], ...]
     residual: ResidualSpec = field(default_factory=ResidualSpec)
-    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.35, -0.75, 0.85), (0.45, 0.0, 0.1))
+    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.5, -0.35, 0.85), (0.32, 0.0, 0.2))
 
     @property
     def n_checkpoints(self) -> int:
