@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,8 @@ from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.bench_limits import finger_speed, global_planner
 from dynaforge.cli.bench_speed import control_rate, scene_reset
 from dynaforge.cli.bench_vector import vectorised, worker_killed
+from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write, check_writable
-from dynaforge.generators.generator import PACKAGES
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs
@@ -70,13 +69,10 @@ def run(options: argparse.Namespace) -> int:
     if machine["load"] > QUIET_LOAD:
         print(f"note: the load is {machine['load']:.1f}; figures of speed hold only where nothing else runs")
     start, figures = time.monotonic(), dict[str, list[Figure]]()
-    print("| figure | target | measured | ok |\n|---|---|---|---|", flush=True)
-    for name in chosen:
+    for number, name in enumerate(chosen, 1):
+        print(f"[{number}/{len(chosen)}] {name}", file=sys.stderr, flush=True)
         figures[name] = MEASUREMENTS[name](task, options.rounds)
-        for figure in figures[name]:
-            print(
-                f"| {figure.title} | {figure.target} | {figure.measured} | {'yes' if figure.ok else 'NO'} |", flush=True
-            )
+    print(table([figure for found in figures.values() for figure in found]))
     if options.out is not None:
         atomic_write(options.out, json.dumps(_record(figures, options, machine), indent=1).encode())
         print(f"\nwritten to {options.out}")
@@ -84,6 +80,12 @@ def run(options: argparse.Namespace) -> int:
     verdict = f"missed: {', '.join(missed)}" if missed else "every figure is met"
     print(f"\n{verdict}; took {time.monotonic() - start:.0f} s")
     return 1 if missed else 0
+
+
+def table(figures: Sequence[Figure]) -> str:
+    """Return the figures as a Markdown table."""
+    rows = [f"| {f.title} | {f.target} | {f.measured} | {'yes' if f.ok else 'NO'} |" for f in figures]
+    return "\n".join(["| figure | target | measured | ok |", "|---|---|---|---|", *rows])
 
 
 def _chosen(only: Sequence[str] | None) -> list[str]:
@@ -107,7 +109,7 @@ def _record(figures: dict[str, list[Figure]], options: argparse.Namespace, machi
         "command": shlex.join(["dynaforge", *sys.argv[1:]]),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "machine": machine,
-        "versions": {name: version(name) for name in (*PACKAGES, "stable-baselines3", "gymnasium", "torch")},
+        "versions": package_versions(),
         "task": options.task,
         "rounds": options.rounds,
         "figures": {name: [asdict(figure) for figure in found] for name, found in figures.items()},

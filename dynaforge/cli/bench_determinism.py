@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
@@ -108,14 +109,14 @@ def _run_everywhere(env: SharedMemoryVecEnv, condition: Condition, reset_kwargs:
         env.assign(index, reset_kwargs)
     env.step(np.zeros((env.num_envs, *(env.action_space.shape or ())), np.float32))
     ended = np.zeros(env.num_envs, dtype=bool)
-    for action in seeded_actions(env, condition):
+    for action in seeded_actions(env.action_space, condition):
         ended |= env.step(np.tile(action, (env.num_envs, 1)))[2]
         if ended.all():
             break
     return env.env_method("trajectory_hash")
 
 
-def _hash_of(env: ResidualEnv, run: partial[object], condition: Condition) -> str:
+def _hash_of(env: ResidualEnv, run: Callable[[Condition], object], condition: Condition) -> str:
     trajectory = TrajectoryHash()
     env.world.listeners.append(trajectory)
     try:

@@ -23,6 +23,7 @@ from dynaforge.sim import Condition, SceneState
 from dynaforge.tasks import Task
 
 N_STRATA = 10
+MOST_DECISIONS = 1000  # more than any episode has
 HISTORIES = ("nothing", "the same", "a slow one", "a fast one", "one cut short at touch", "random residuals")
 
 
@@ -52,10 +53,10 @@ def run_zero_residual(env: ResidualEnv, condition: Condition) -> Outcome:
     return env.executor.outcome
 
 
-def seeded_actions(env: gym.Env[Any, Any], condition: Condition) -> NDArray[np.float32]:
+def seeded_actions(space: gym.Space[Any], condition: Condition) -> NDArray[np.float32]:
     """Return residual actions for every decision of an episode, the same wherever they are drawn, shape (T, d)."""
-    shape = env.action_space.shape or ()
-    return np.random.default_rng(condition.seed).uniform(-1, 1, (1000, *shape)).astype(np.float32)
+    shape = (MOST_DECISIONS, *(space.shape or ()))
+    return np.random.default_rng(condition.seed).uniform(-1, 1, shape).astype(np.float32)
 
 
 class TrajectoryHash:
@@ -156,7 +157,7 @@ def _live(env: Witness, history: str, condition: Condition) -> None:
 
 def _run_seeded(env: Witness, condition: Condition) -> str:
     env.reset(options={"condition": condition})
-    for action in seeded_actions(env, condition):
+    for action in seeded_actions(env.action_space, condition):
         _, _, done, _, _ = env.step(action)
         if done:
             break

@@ -42,7 +42,7 @@ def finger_speed(task: Task) -> list[Figure]:
     widths: dict[str, list[float]] = {}
     for name in ("at once", "ramped"):
         scene.reset(condition)
-        fastest, ends = 0.0, []
+        fastest, ends = 0.0, list[float]()
         for wanted in (0.0, scene.robot.width_max):
             speed, width = _stroke(scene, _openings(scene, task, wanted, ramped=name == "ramped"))
             fastest, ends = max(fastest, speed), [*ends, width]

@@ -72,37 +72,39 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
 
     Bare is stepSimulation and one array motor call a substep, replaying the very same episodes: their joint targets
     are computed beforehand, and resets are outside its clock. The opening is commanded where it changes, since
-    nothing would be gripped otherwise. Each replay must end in the recorded state bit for bit, so both loops simulate
-    the same contacts.
+    nothing would be gripped otherwise. A replay that does not end in the recorded state bit for bit misses the
+    figure: both loops must simulate the same contacts.
 
     Args:
         task: The task.
         rounds: Rounds; whole stack and bare loop take turns in each.
         n: Conditions, spread over the difficulty range.
-
-    Raises:
-        RuntimeError: A replay ended elsewhere.
     """
     env = ResidualEnv(task)
     recordings = [_record(env, condition) for condition in bench_conditions(task, n)]
     steps = sum(len(recording.commands) for recording in recordings)
-    whole, bare = list[float](), list[float]()
+    whole, bare, astray = list[float](), list[float](), 0
     for _ in tracked(range(rounds), "control steps", total=rounds):
         begin = time.process_time()
         for recording in recordings:
             run_zero_residual(env, recording.condition)
         whole.append((time.process_time() - begin) / steps)
-        bare.append(sum(replay_bare(env.world.scene, recording) for recording in recordings) / steps)
+        replays = [replay_bare(env.world.scene, recording) for recording in recordings]
+        bare.append(sum(seconds for seconds, _ in replays) / steps)
+        astray += sum(not exact for _, exact in replays)
     env.close()
     ratios = [b / w for b, w in zip(bare, whole, strict=True)]
     measured = (
         f"{spread(ratios)}: {1 / median(whole):.0f} against {1 / median(bare):.0f} a CPU-second, "
         f"{n} episodes, {rounds} rounds"
     )
+    if astray:
+        measured += f"; {astray} replays left the recorded trajectory"
     raw: dict[str, Any] = {"whole_cpu_seconds_per_step": whole, "bare_cpu_seconds_per_step": bare, "ratio": ratios}
-    raw |= {"episodes": n, "control_steps": steps}
+    raw |= {"episodes": n, "control_steps": steps, "replays_astray": astray}
     title = "control steps per CPU-second over bare simulator"
-    return [Figure(title, ">= 0.65 (aim 0.75)", measured, median(ratios) >= LEAST_RATIO, raw)]
+    ok = median(ratios) >= LEAST_RATIO and not astray
+    return [Figure(title, ">= 0.65 (aim 0.75)", measured, ok, raw)]
 
 
 def _record(env: ResidualEnv, condition: Condition) -> Recording:
@@ -123,11 +125,11 @@ def _record(env: ResidualEnv, condition: Condition) -> Recording:
     return Recording(condition, commands, steps[-1].after)
 
 
-def replay_bare(scene: SimScene, recording: Recording) -> float:
-    """Replay an episode's motor commands with nothing around them; returns CPU seconds.
+def replay_bare(scene: SimScene, recording: Recording) -> tuple[float, bool]:
+    """Replay an episode's motor commands with nothing around them.
 
-    Raises:
-        RuntimeError: It did not end in the recorded state.
+    Returns:
+        CPU seconds, and whether it ended in the recorded state bit for bit.
     """
     scene.reset(recording.condition)
     # The scene's own bound calls: any other way of calling Bullet is slower and would flatter the ratio.
@@ -145,6 +147,4 @@ def replay_bare(scene: SimScene, recording: Recording) -> float:
     seconds = time.process_time() - begin
     # Index 4 holds time and width: the bare loop keeps no time.
     pairs = list(zip(state_arrays(scene.observe()), state_arrays(recording.end), strict=True))
-    if not all(np.array_equal(a, b) for i, (a, b) in enumerate(pairs) if i != 4):
-        raise RuntimeError(f"The bare replay of condition {recording.condition.id} left the recorded trajectory.")
-    return seconds
+    return seconds, all(np.array_equal(a, b) for i, (a, b) in enumerate(pairs) if i != 4)

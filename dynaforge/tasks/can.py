@@ -31,7 +31,7 @@ CONDITIONS = ConditionSpace(
         # Where its line crosses the plane ahead of the robot: x, the middle of the reach; y, the offset along the line.
         "cross_x": (0.42, 0.55),
         "cross_y": (-0.05, 0.05),
-        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to the meeting point, and 0.2 s to set off.
+        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to get there, and 0.2 s to set off.
         "lead": (0.9, 1.3),
         # An empty to a full can of food, kg.
         "mass": (0.1, 0.4),
