@@ -152,6 +152,7 @@ class PhaseExecutor:
                     rng=np.random.default_rng((self._seed, index)),
                 )  # fmt: skip
             except PlanFailure as failure:
+                self._plan(view)  # the last observation shows this phase and target, not those before
                 return self._fail(f"plan failed: {failure.reason}")
         self._plan(view)
         return None

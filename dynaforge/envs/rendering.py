@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pybullet as p
 from numpy.typing import NDArray
 
 from dynaforge.sim import SimScene
+from dynaforge.sim.bullet import pybullet as p
 
 Point = tuple[float, float, float]
 

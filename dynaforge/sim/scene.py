@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 from functools import partial
-from typing import Any
 
 import numpy as np
-import pybullet as p
-from pybullet_utils.bullet_client import BulletClient
 
 from dynaforge.geometry import Array, Pose
+from dynaforge.sim.bullet import connect
+from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.spec import SceneSpec, asset_path
@@ -20,6 +19,7 @@ POSITION_GAIN = 0.3
 VELOCITY_GAIN = 1.0
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to the motor's own limit
 PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
+PARKED_STEPS = 10  # substeps at each reset; two were just enough for one object, one was not
 
 
 class SimScene:
@@ -40,7 +40,7 @@ class SimScene:
     ) -> None:
         self.spec = spec
         self.robot = robot or franka()
-        self.client: Any = BulletClient(connection_mode=p.GUI if gui else p.DIRECT)
+        self.client = connect(gui=gui)
         self._open = True
         # Without this flag Bullet turns a URDF cylinder into a 32-gon, which loses 0.2 m/s a second when it rolls.
         self._flags = p.URDF_USE_IMPLICIT_CYLINDER
@@ -153,8 +153,10 @@ class SimScene:
         """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches."""
         client = self.client
         client.restoreState(self._saved)
-        # One step with the bodies parked drops the pairs in contact: a compound would keep its children's caches.
-        self._step_physics()
+        # Steps with the bodies parked drop the pairs once in contact, whose caches would live on. Bullet looks at one
+        # or a few of its pairs a step, so it takes several to have looked at all of them.
+        for _ in range(PARKED_STEPS):
+            self._step_physics()
         client.restoreState(self._saved)
         for name, launch in self.spec.launch(condition).items():
             body = self.body_ids[name]

@@ -95,7 +95,7 @@ def test_actions_behind_a_closed_gate_have_no_effect(mask: Traced) -> None:
 @pytest.mark.parametrize("mode", ["skip", "mask"])
 def test_the_residual_drops_to_zero_the_moment_the_gate_closes(mode: str, request: pytest.FixtureRequest) -> None:
     env: Traced = request.getfixturevalue(mode)
-    run(env, LIFTED)
+    gated_decisions(env, LIFTED)
     steps = env.trace.steps
     assert {step.planned.phase for step in steps} == set(range(5))
     for step in steps:
@@ -111,7 +111,7 @@ def test_a_decision_is_held_for_its_control_steps_and_cut_where_the_gate_changes
     while not done:
         gate, before = mask.unwrapped.executor.action.gate, len(mask.trace.steps)
         _, _, done, _, _ = mask.step(action(k))
-        k += 1
+        k += gate
         changed = not done and mask.unwrapped.executor.action.gate != gate
         lengths.append((done, changed, len(mask.trace.steps) - before))
     assert all(n == TASK.residual.decision_steps for done, changed, n in lengths if not (done or changed))

@@ -1,0 +1,263 @@
+"""The phase program, driven with states and plans written by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from trajectory_hash import TrajectoryHash, condition
+
+from dynaforge.envs.executor import Outcome, PhaseExecutor
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.geometry import Array, JointTrajectory, Pose
+from dynaforge.planning import JointReference, PlanFailure
+from dynaforge.sim import BodyState, SceneState
+from dynaforge.tasks import Mode, Phase, Task, get_task
+from dynaforge.tasks.predicates import Fallen, Grasped, Lifted, Touched
+from dynaforge.tasks.targets import DOWN_ALONG_X, Above
+
+CAN = get_task("can")
+DT = CAN.scene.control_dt
+CONDITION = condition(3)
+REFERENCE = JointReference(np.zeros(7), np.full(7, 0.1), np.full(7, 0.2), 0.08, 0.0)
+
+
+def scene(x: float = 0.5, z: float = 0.033, *, touching: tuple[bool, bool] = (False, False), vx: float = 0.0):
+    body = BodyState(Pose(np.eye(3), np.array((x, 0.0, z))), np.array((vx, 0.0, 0.0)), np.zeros(3))
+    hand = Pose(DOWN_ALONG_X, np.array((0.5, 0.0, 0.2)))
+    return SceneState(0.0, np.zeros(7), np.zeros(7), hand, 0.08, {"can": body}, {"can": touching}, {"can": True})
+
+
+GRASPED = scene(touching=(True, True))
+UP = scene(z=0.133, touching=(True, True))
+
+
+@dataclass
+class FakePlanner:
+    """Counts its calls and answers with a motion of three samples, or fails."""
+
+    fails: bool = False
+    calls: list[tuple[Array, Array, Array, Pose, float]] = field(default_factory=list)
+
+    def plan(self, q: Array, dq: Array, ddq: Array, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+        self.calls.append((q, dq, ddq, target, float(rng.random())))
+        if self.fails:
+            raise PlanFailure("unreachable", "nowhere near")
+        rows = np.arange(3.0)[:, None] * np.ones(7)
+        return JointTrajectory(DT, rows, rows + 10, rows + 20)
+
+
+def phase(name: str, done, mode: Mode = Mode.IK, *, hold: float = 0.0, timeout: float = 1.0, **more) -> Phase:
+    return Phase(name, mode, Above("can", 0.0), 0.08, done, timeout, f"{name} took too long", hold=hold, **more)
+
+
+def program(*phases: Phase) -> Task:
+    return replace(CAN, phases=phases, impossible=(("dropped", Fallen("can")),))
+
+
+def start(task: Task, planner: FakePlanner | None = None, **options: float) -> PhaseExecutor:
+    executor = PhaseExecutor(task, planner or FakePlanner(), control_dt=DT, **options)  # type: ignore[arg-type]
+    executor.reset(scene(), CONDITION, REFERENCE)
+    return executor
+
+
+TOUCH_GRASP_LIFT = program(
+    phase("touch", Touched("can")), phase("grasp", Grasped("can")), phase("lift", Lifted("can", 0.1), hold=0.25)
+)
+
+
+def test_phases_advance_in_order_one_a_control_step_at_most() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    names = [executor.phase.name]
+    for _ in range(2):
+        executor.advance(UP, REFERENCE)  # the predicates of all phases hold
+        names.append(executor.phase.name)
+    assert names == ["touch", "grasp", "lift"]
+    assert executor.outcome is None
+
+
+def test_a_later_phase_does_not_count_before_its_turn() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    for _ in range(10):
+        executor.advance(scene(z=0.5), REFERENCE)  # lifted, never touched
+    assert executor.phase.name == "touch"
+
+
+def test_success_is_the_last_checkpoint_and_is_worth_one() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    for _ in range(2 + 9):
+        if executor.outcome is None:
+            executor.advance(UP, REFERENCE)
+    assert executor.outcome == Outcome(True, 3, "", "lift")
+    assert executor.outcome.episodic_return(3) == 1.0
+
+
+def test_success_held_for_less_than_a_quarter_of_a_second_is_none() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    for state in [UP, UP, *[UP] * 7, scene(), *[UP] * 7]:  # 7 samples span a fifth of a second
+        executor.advance(state, REFERENCE)
+    assert executor.outcome is None
+
+
+@pytest.mark.parametrize("near_miss", [scene(z=0.123, touching=(True, True)), scene(z=0.5), scene(z=0.133, touching=(True, False))])
+def test_a_near_miss_of_the_can_never_becomes_a_success(near_miss: SceneState) -> None:
+    executor = PhaseExecutor(CAN, FakePlanner(), control_dt=DT)  # type: ignore[arg-type]
+    executor.reset(scene(), CONDITION, REFERENCE)
+    executor._enter(4, scene(touching=(True, True)), REFERENCE)
+    while executor.outcome is None:
+        executor.advance(near_miss, REFERENCE)
+    assert executor.outcome == Outcome(False, 4, "slipped", "lift")
+
+
+def test_a_hold_starts_anew_when_it_breaks() -> None:
+    executor = start(program(phase("grasp", Grasped("can"), hold=0.1), phase("lift", Lifted("can", 0.1))))
+    for state in (GRASPED, GRASPED, scene(), GRASPED, GRASPED):
+        executor.advance(state, REFERENCE)
+    assert executor.phase.name == "grasp"
+    executor.advance(GRASPED, REFERENCE)
+    assert executor.phase.name == "lift"
+
+
+def test_a_timeout_fails_with_the_reason_of_its_phase() -> None:
+    """0.2 s are six control steps."""
+    executor = start(program(phase("touch", Touched("can")), phase("grasp", Grasped("can"), timeout=0.2)))
+    executor.advance(scene(touching=(True, False)), REFERENCE)
+    for _ in range(5):
+        executor.advance(scene(), REFERENCE)
+    assert executor.outcome is None
+    assert executor.phase_time_left == pytest.approx(1 / 6)
+    executor.advance(scene(), REFERENCE)
+    assert executor.outcome == Outcome(False, 1, "grasp took too long", "grasp")
+
+
+def test_what_makes_success_impossible_ends_the_episode_at_once() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    executor.advance(GRASPED, REFERENCE)
+    executor.advance(scene(z=-0.2, touching=(True, True)), REFERENCE)
+    assert executor.outcome == Outcome(False, 1, "dropped", "grasp")
+
+
+@pytest.mark.parametrize(("checkpoint", "value"), [(0, 0.0), (1, 0.2), (4, 0.8)])
+def test_a_failure_is_worth_its_share_of_checkpoints(checkpoint: int, value: float) -> None:
+    """Eq. 6 with y = 0: c / C."""
+    assert Outcome(False, checkpoint, "slipped", "lift").episodic_return(5) == pytest.approx(value)
+
+
+def test_a_failed_plan_is_an_outcome_with_its_reason() -> None:
+    executor = start(program(phase("touch", Touched("can"), Mode.GLOBAL)), FakePlanner(fails=True))
+    assert executor.outcome == Outcome(False, 0, "plan failed: unreachable", "touch")
+    later = program(phase("touch", Touched("can")), phase("lift", Lifted("can", 0.1), Mode.GLOBAL))
+    executor = start(later, FakePlanner(fails=True))
+    executor.advance(GRASPED, REFERENCE)
+    assert executor.outcome == Outcome(False, 1, "plan failed: unreachable", "lift")
+    assert executor.action.phase == 1
+
+
+def test_a_global_phase_plans_once_from_where_the_command_stands() -> None:
+    planner = FakePlanner()
+    executor = start(program(phase("touch", Touched("can"), Mode.GLOBAL)), planner)
+    for x in (0.51, 0.52, 0.53, 0.54):
+        executor.advance(scene(x), REFERENCE)
+    (q, dq, ddq, target, _) = planner.calls[0]
+    assert len(planner.calls) == 1
+    assert (q is REFERENCE.q, dq is REFERENCE.dq, ddq is REFERENCE.ddq) == (True, True, True)
+    assert target.position[0] == 0.5  # the object's place at entry
+    assert executor.action.target is target
+
+
+def test_a_global_phase_follows_the_samples_in_turn_and_stays_at_the_last() -> None:
+    executor = start(program(phase("touch", Touched("can"), Mode.GLOBAL)))
+    samples = []
+    for _ in range(4):
+        assert executor.action.sample is not None
+        samples.append((executor.action.sample.q[0], executor.action.sample.dq[0], executor.action.sample.ddq[0]))
+        executor.advance(scene(), REFERENCE)
+    assert samples == [(1, 11, 21), (2, 12, 22), (2, 12, 22), (2, 12, 22)]
+
+
+def test_the_plan_draws_from_the_seed_of_the_condition_and_the_phase() -> None:
+    def draw(seed: int) -> list[float]:
+        planner = FakePlanner()
+        task = program(phase("touch", Touched("can"), Mode.GLOBAL), phase("lift", Lifted("can", 0.1), Mode.GLOBAL))
+        executor = PhaseExecutor(task, planner, control_dt=DT)  # type: ignore[arg-type]
+        executor.reset(scene(), replace(CONDITION, seed=seed), REFERENCE)
+        executor.advance(GRASPED, REFERENCE)
+        return [call[-1] for call in planner.calls]
+
+    assert draw(1) == draw(1)
+    assert len({*draw(1), *draw(2)}) == 4
+
+
+def test_an_ik_phase_never_plans_globally_and_follows_the_object() -> None:
+    planner = FakePlanner()
+    executor = start(program(phase("touch", Touched("can"))), planner)
+    for x in (0.51, 0.52):
+        executor.advance(scene(x), REFERENCE)
+        assert executor.action.target.position[0] == x
+        assert executor.action.sample is None
+    assert planner.calls == []
+
+
+def test_the_target_freezes_when_a_finger_touches() -> None:
+    task = program(phase("grasp", Grasped("can"), track_until=Touched("can")), phase("lift", Lifted("can", 0.1)))
+    executor = start(task)
+    executor.advance(scene(0.51), REFERENCE)
+    assert not executor.frozen
+    executor.advance(scene(0.52, touching=(False, True)), REFERENCE)
+    assert executor.frozen
+    for x in (0.53, 0.54):
+        executor.advance(scene(x), REFERENCE)  # pushed away, no longer touched: still no chase
+        assert executor.action.target.position[0] == 0.52
+    executor.advance(scene(0.55, touching=(True, True)), REFERENCE)
+    assert executor.phase.name == "lift"
+    assert not executor.frozen
+    assert executor.action.target.position[0] == 0.55
+
+
+def test_without_track_until_the_target_never_freezes() -> None:
+    executor = start(program(phase("grasp", Grasped("can"))))
+    executor.advance(scene(0.52, touching=(False, True)), REFERENCE)
+    executor.advance(scene(0.53), REFERENCE)
+    assert executor.action.target.position[0] == 0.53
+
+
+def test_lead_time_shifts_the_target_by_velocity_times_lead() -> None:
+    executor = start(program(phase("touch", Touched("can"))), lead_time=0.1)
+    executor.advance(scene(0.5, vx=0.7), REFERENCE)
+    assert executor.action.target.position[0] == pytest.approx(0.57)
+
+
+def test_the_gate_and_the_width_are_those_of_the_running_phase() -> None:
+    task = program(phase("touch", Touched("can"), gate=True), replace(phase("lift", Lifted("can", 0.1)), width=0.0))
+    executor = start(task)
+    assert (executor.action.gate, executor.action.width, executor.action.phase) == (True, 0.08, 0)
+    executor.advance(GRASPED, REFERENCE)
+    assert (executor.action.gate, executor.action.width, executor.action.phase) == (False, 0.0, 1)
+
+
+def test_a_reset_forgets_the_episode_before() -> None:
+    executor = start(TOUCH_GRASP_LIFT)
+    executor.advance(GRASPED, REFERENCE)
+    executor.advance(scene(z=-0.2), REFERENCE)
+    executor.reset(scene(), CONDITION, REFERENCE)
+    assert executor.outcome is None
+    assert executor.phase.name == "touch"
+    assert executor.phase_time_left == 1.0
+
+
+def test_a_real_success_holds_its_predicate_at_the_end() -> None:
+    env = ResidualEnv("can")
+    trace = TrajectoryHash(env.world)
+    env.reset(options={"condition": condition(0, 5)})
+    done, info = False, {}
+    while not done:
+        _, _, done, _, info = env.step(np.zeros(5, np.float32))
+    assert info["is_success"]
+    start_height = trace.steps[0].before.objects["can"].pose.position[2]
+    for step in trace.steps[-7:]:
+        assert all(step.after.touching["can"])
+        assert step.after.objects["can"].pose.position[2] - start_height >= 0.10
+    phases = [step.planned.phase for step in trace.steps]
+    assert phases == sorted(phases)
+    env.close()
