@@ -25,7 +25,7 @@ DENSE = 0.004  # radians of the fastest joint between dense collision checks; th
 ROUNDING = 1e-9
 STROKE_SECONDS = 1.2  # for a full stroke of 40 mm a finger at 50 mm/s, which takes 0.8 s
 FURNISHED = (
-    Obstacle("post", "cylinder", (0.04, 0.5), Pose(np.eye(3), np.array((0.45, 0.15, 0.25)))),
+    Obstacle("post", "cylinder", (0.04, 0.5), Pose(np.eye(3), np.array((0.45, 0.22, 0.25)))),
     Obstacle("shelf", "box", (0.3, 0.3, 0.03), Pose(np.eye(3), np.array((0.5, -0.3, 0.4)))),
 )
 

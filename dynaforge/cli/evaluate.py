@@ -86,7 +86,7 @@ def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> 
         for block in range(options.seeds):
             stream = task.conditions.stream(options.stream, block, n_strata=BINS if options.strata else None)
             conditions = islice(stream, options.attempts)
-            for result in run_attempts(task.name, generator, conditions, block=block, workers=options.workers):
+            for result in run_attempts(task, generator, conditions, block=block, workers=options.workers):
                 done.append(result.attempt)
                 bar.update()
     return done

@@ -10,7 +10,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count, islice
 from pathlib import Path
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--attempts", type=int, default=100, help="fresh conditions of each measurement")
     parser.add_argument("--seed", type=int, default=0, help="training seed")
     parser.add_argument("--algo", default="frontier_grpo", help="which file of zoo_configs to train with")
+    parser.add_argument("--residual-frame", choices=("target", "world"), help="instead of the task's own")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, help="new or empty folder; by default the next free runs/TASK-N")
 
@@ -76,6 +77,8 @@ def run(options: argparse.Namespace) -> int:
     """Forge demonstrations; see the module's description."""
     started = time.monotonic()
     task = get_task(options.task)
+    if options.residual_frame is not None:
+        task = replace(task, residual=replace(task.residual, frame=options.residual_frame))
     _check(options)
     training.hyperparameters(options.algo, task.name)
     out = _new_folder(options.out, task.name)
@@ -126,7 +129,7 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
     from dynaforge.algos.policy_file import MlpPolicyFile
 
     settings = training.hyperparameters(options.algo, task.name)
-    env = training.training_env(task.name, settings["n_envs"], cores=options.workers)
+    env = training.training_env(task, settings["n_envs"], cores=options.workers)
     history, interrupted = History(), False
     try:
         model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
@@ -170,7 +173,7 @@ def _new_folder(asked: Path | None, task: str) -> Path:
 
 def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:
     conditions = list(conditions)
-    results = run_attempts(task.name, generator, conditions, workers=workers)
+    results = run_attempts(task, generator, conditions, workers=workers)
     return [r.attempt for r in tqdm(results, total=len(conditions), leave=False, unit="attempt", desc=generator.name)]
 
 
@@ -185,7 +188,7 @@ def _collect(task: Task, generator: Generator, folder: Path, options: argparse.N
     bar = tqdm(total=options.demos, leave=False, unit="demo")
     conditions = islice(task.conditions.stream("train"), limit)
     for result in run_attempts(
-        task.name, generator, conditions, workers=options.workers, stop=lambda: bar.n >= options.demos
+        task, generator, conditions, workers=options.workers, stop=lambda: bar.n >= options.demos
     ):
         if result.episode is None:
             dataset.record(result.attempt)

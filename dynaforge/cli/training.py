@@ -10,7 +10,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
@@ -18,8 +17,10 @@ from tqdm import tqdm
 
 import dynaforge  # noqa: F401 - registers the envs
 from dynaforge.algos import FrontierGRPO
+from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.registration import env_id
+from dynaforge.tasks import Task
 
 BARS = "▁▂▃▄▅▆▇█"
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
@@ -41,13 +42,13 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
     return dict(entry)
 
 
-def training_env(task: str, n_envs: int, *, cores: int = 2) -> SharedMemoryVecEnv:
+def training_env(task: Task, n_envs: int, *, cores: int = 2) -> SharedMemoryVecEnv:
     """Make the vectorised env to collect in.
 
     Mask mode, so that no env's long lift stalls the others; two workers a core, so that one with less to do leaves
     its share of the core to the others.
     """
-    return SharedMemoryVecEnv([partial(gym.make, env_id(task), gate_mode="mask")] * n_envs, n_workers=2 * cores)
+    return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode="mask")] * n_envs, n_workers=2 * cores)
 
 
 def build_model(task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any) -> FrontierGRPO:

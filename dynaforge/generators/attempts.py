@@ -15,6 +15,7 @@ from dynaforge.demos import Attempt, Episode
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
+from dynaforge.tasks import Task
 
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
 
@@ -32,7 +33,7 @@ _generator: Generator | None = None
 
 
 def run_attempts(
-    task: str,
+    task: Task,
     generator: Generator,
     conditions: Iterable[Condition],
     *,
@@ -45,7 +46,7 @@ def run_attempts(
     An exception or the death of a worker is a failed attempt with a reason: nothing leaves the denominator.
 
     Args:
-        task: Task name.
+        task: The task.
         generator: What attempts.
         conditions: May be endless if `stop` ends it.
         block: Block number noted with every attempt.
@@ -73,7 +74,7 @@ def run_attempts(
         _kill(pool)
 
 
-def _pool(task: str, generator: Generator, workers: int) -> ProcessPoolExecutor:
+def _pool(task: Task, generator: Generator, workers: int) -> ProcessPoolExecutor:
     context = multiprocessing.get_context("forkserver")
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(task, generator))
 
@@ -87,7 +88,7 @@ def _kill(pool: ProcessPoolExecutor) -> None:
         process.join(2.0)
 
 
-def _start(task: str, generator: Generator) -> None:
+def _start(task: Task, generator: Generator) -> None:
     global _env, _generator
     _env, _generator = ResidualEnv(task), generator
 

@@ -100,7 +100,9 @@ def test_success_held_for_less_than_a_quarter_of_a_second_is_none() -> None:
     assert executor.outcome is None
 
 
-@pytest.mark.parametrize("near_miss", [scene(z=0.123, touching=(True, True)), scene(z=0.5), scene(z=0.133, touching=(True, False))])
+@pytest.mark.parametrize(
+    "near_miss", [scene(z=0.123, touching=(True, True)), scene(z=0.5), scene(z=0.133, touching=(True, False))]
+)
 def test_a_near_miss_of_the_can_never_becomes_a_success(near_miss: SceneState) -> None:
     executor = PhaseExecutor(CAN, FakePlanner(), control_dt=DT)  # type: ignore[arg-type]
     executor.reset(scene(), CONDITION, REFERENCE)

@@ -53,7 +53,9 @@ def test_joint_references_of_a_success_succeed_again(recorded) -> None:
 def test_end_effector_targets_of_a_success_succeed_again(recorded) -> None:
     env = TaskEnv("can", action_mode="ee")
     actions = [
-        np.float32((*s.requested.position, *rotvec_from_matrix(s.requested.rotation @ DOWN_ALONG_X.T), s.requested_width))
+        np.float32(
+            (*s.requested.position, *rotvec_from_matrix(s.requested.rotation @ DOWN_ALONG_X.T), s.requested_width)
+        )
         for s in recorded
     ]
     result = play(env, [*actions, *[actions[-1]] * 30])
@@ -66,7 +68,9 @@ def test_the_observation_is_the_measured_state_in_the_order_of_the_layout() -> N
     env = TaskEnv("can")
     observation, info = env.reset(options={"condition": EASY})
     assert info == {"condition_id": EASY.id}
-    parts = dict(zip((n for n, _ in env.layout), np.split(observation, np.cumsum([s for _, s in env.layout])[:-1]), strict=True))
+    parts = dict(
+        zip((n for n, _ in env.layout), np.split(observation, np.cumsum([s for _, s in env.layout])[:-1]), strict=True)
+    )
     state = env.world.state
     body = state.objects["can"]
     np.testing.assert_array_equal(parts["q"], state.q)

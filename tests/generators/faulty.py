@@ -1,0 +1,30 @@
+"""Generators that fail on marked conditions; workers import this file."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+
+from dynaforge.demos import Episode
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.sim import Condition
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """Succeeds without simulating, but raises or kills its process on the conditions that are marked."""
+
+    raises: frozenset[str] = frozenset()
+    dies: frozenset[str] = frozenset()
+    slow: frozenset[str] = frozenset()
+    name: str = "faulty"
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        if condition.id in self.slow:
+            time.sleep(1.0)
+        if condition.id in self.dies:
+            os._exit(3)
+        if condition.id in self.raises:
+            raise RuntimeError("the marked condition")
+        return Episode(condition, self.name, True, 5, "", "lift", 1.0, {})

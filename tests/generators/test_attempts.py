@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+
+import pytest
+from faulty import Faulty
+
+from dynaforge.generators import PlannerOnly, Result, run_attempts
+from dynaforge.sim import Condition
+from dynaforge.tasks import get_task
+
+TASK = get_task("can")
+SPACE = TASK.conditions
+CONDITIONS = list(itertools.islice(SPACE.stream("val", n_strata=8), 6))
+
+
+def ids(*indices: int) -> frozenset[str]:
+    return frozenset(CONDITIONS[k].id for k in indices)
+
+
+def attempt_all(generator: Faulty, *, workers: int = 2) -> list[Result]:
+    return list(run_attempts(TASK, generator, CONDITIONS, workers=workers, block=7))
+
+
+def test_an_exception_is_a_failed_attempt_with_its_reason_and_the_order_stays() -> None:
+    """The first condition is the slowest: its result still comes first."""
+    results = attempt_all(Faulty(raises=ids(1, 4), slow=ids(0)))
+    assert [r.attempt.condition for r in results] == CONDITIONS
+    assert [r.attempt.success for r in results] == [True, False, True, True, False, True]
+    assert results[1].attempt.failure == "exception: RuntimeError: the marked condition"
+    assert results[1].episode is None
+    assert results[0].episode is not None
+    assert {r.attempt.block for r in results} == {7}
+    assert {r.attempt.generator for r in results} == {"faulty"}
+
+
+def test_a_dead_worker_is_a_failed_attempt_and_the_others_go_on() -> None:
+    results = attempt_all(Faulty(dies=ids(2)), workers=1)
+    assert [r.attempt.condition for r in results] == CONDITIONS
+    assert [r.attempt.success for r in results] == [True, True, False, True, True, True]
+    assert results[2].attempt.failure.startswith("worker lost")
+
+
+@pytest.mark.xfail(reason="a condition is blamed for the worker that another one killed", strict=True)
+def test_a_dead_worker_costs_no_other_condition_its_attempt() -> None:
+    results = attempt_all(Faulty(dies=ids(1), slow=ids(0)))
+    assert [r.attempt.success for r in results] == [True, False, True, True, True, True]
+
+
+@pytest.mark.xfail(reason="handing the next condition to a pool that broke meanwhile raises", strict=True)
+def test_a_worker_that_dies_while_the_caller_is_busy_does_not_end_the_run() -> None:
+    results = []
+    for result in run_attempts(TASK, Faulty(dies=ids(1)), CONDITIONS, workers=1):
+        results.append(result)
+        if len(results) == 1:
+            time.sleep(1.0)  # as when an episode is written
+    assert [r.attempt.success for r in results] == [True, False, True, True, True, True]
+
+
+def test_stop_hands_out_no_further_condition() -> None:
+    handed: list[Condition] = []
+
+    def endless() -> Iterator[Condition]:
+        for condition in SPACE.stream("val"):
+            handed.append(condition)
+            yield condition
+
+    results: list[Result] = []
+    for result in run_attempts(TASK, Faulty(), endless(), workers=1, stop=lambda: len(results) >= 2):
+        results.append(result)
+    assert [r.attempt.condition for r in results] == handed
+    assert len(results) <= 2 + 2
+
+
+def test_attempts_in_workers_are_those_of_this_process() -> None:
+    from dynaforge.envs.residual_env import ResidualEnv
+
+    env = ResidualEnv("can")
+    here = [PlannerOnly().attempt(env, condition) for condition in CONDITIONS[:3]]
+    env.close()
+    there = [result.episode for result in run_attempts(TASK, PlannerOnly(), CONDITIONS[:3], workers=1)]
+    assert [e.content_hash() for e in there if e] == [e.content_hash() for e in here]

@@ -1,0 +1,96 @@
+"""Whole episodes, gentle and wild: what physics does must be possible."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.world import ControlStep
+from dynaforge.registration import ENV_NAMES
+
+DEEP = 0.010  # metres of penetration that an arm at full force may press an object into a hand or the table
+LONGEST = 6  # control steps that a deep contact may last: an impact and its rebound
+PUSHED = 1.5  # m/s that a hand at its own speed limits may add to an object
+FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
+
+
+class Watch:
+    """Listens to a world; notes contact depths, and what the objects did between control steps."""
+
+    def __init__(self, env: ResidualEnv) -> None:
+        self.scene = env.world.scene
+        self.steps: list[ControlStep] = []
+        self.depths: list[dict[str, float]] = []
+        env.world.listeners.append(self)
+
+    def __call__(self, step: ControlStep) -> None:
+        bodies, robot, table = self.scene.body_ids, self.scene.robot_id, self.scene.table_id
+        pairs = {
+            f"{a}-{name}": (other, i) for name, i in bodies.items() for a, other in (("hand", robot), ("table", table))
+        }
+        pairs["hand-table"] = (robot, table)
+        self.steps.append(step)
+        self.depths.append({name: self._depth(*pair) for name, pair in pairs.items()})
+
+    def _depth(self, a: int, b: int) -> float:
+        return max((-contact[8] for contact in self.scene.client.getContactPoints(a, b)), default=0.0)
+
+
+def watched(task: str, scale: float, n: int) -> list[Watch]:
+    env, rng, watches = ResidualEnv(task), np.random.default_rng(6), []
+    for k in range(n):
+        env.world.listeners.clear()
+        watches.append(Watch(env))
+        env.reset(options={"condition": env.condition_sampler.draw(rng, k % 8, 8)})
+        done = False
+        while not done:
+            wild = rng.uniform(-scale, scale, env.action_space.shape)
+            _, _, done, _, _ = env.step(wild.astype(np.float32))
+    env.close()
+    return watches
+
+
+@pytest.fixture(scope="module", params=[(name, scale) for name in ENV_NAMES for scale in (0.0, 1.0)], ids=str)
+def episodes(request: pytest.FixtureRequest) -> list[Watch]:
+    return watched(*request.param, n=24)
+
+
+def test_nothing_stays_inside_anything_else(episodes: list[Watch]) -> None:
+    for watch in episodes:
+        for pair in watch.depths[0]:
+            runs = [len(list(run)) for deep, run in groupby(d[pair] > DEEP for d in watch.depths) if deep]
+            assert max(runs, default=0) <= LONGEST, pair
+
+
+def test_nothing_jumps(episodes: list[Watch]) -> None:
+    """Between two control steps a body moves no further than the greatest of its speeds allows."""
+    for watch in episodes:
+        for step in watch.steps:
+            for name, after in step.after.objects.items():
+                before = step.before.objects[name]
+                way = np.linalg.norm(after.pose.position - before.pose.position)
+                speed = max(np.linalg.norm(before.velocity), np.linalg.norm(after.velocity))
+                assert way <= speed * watch.scene.spec.control_dt + 0.005
+
+
+def test_no_object_is_faster_than_launch_and_hand_can_make_it(episodes: list[Watch]) -> None:
+    for watch in episodes:
+        for name, launched in watch.steps[0].before.objects.items():
+            fastest = max(float(np.linalg.norm(step.after.objects[name].velocity)) for step in watch.steps)
+            assert fastest <= np.linalg.norm(launched.velocity) + PUSHED
+
+
+def test_only_the_hand_gives_an_object_speed_on_the_table(episodes: list[Watch]) -> None:
+    alone = 0
+    for step in (step for watch in episodes for step in watch.steps):
+        for name, after in step.after.objects.items():
+            before = step.before.objects[name]
+            hand = (step.before.ee.position, step.after.ee.position)
+            away = min(np.linalg.norm(place - after.pose.position) for place in hand) > FAR
+            if away and step.before.on_table[name] and step.after.on_table[name]:
+                alone += 1
+                assert np.linalg.norm(after.velocity) <= np.linalg.norm(before.velocity) + 1e-4
+    assert alone > 300
