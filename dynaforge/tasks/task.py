@@ -31,7 +31,7 @@ class Phase:
         timeout: Seconds after which the episode fails.
         failure: The reason recorded then.
         gate: The residual gate m of Eq. 5.
-        hold: Seconds `done` must hold without a break; 0 means one control step.
+        hold: Seconds from the first to the last of the control steps at which `done` held without a break.
         track_until: Once this holds, the target freezes: the hand must not chase what it pushes.
     """
 

@@ -104,6 +104,18 @@ def test_the_residual_drops_to_zero_the_moment_the_gate_closes(mode: str, reques
         assert moved == step.planned.gate
 
 
+@pytest.mark.parametrize("mode", ["skip", "mask"])
+def test_an_ik_phase_without_a_gate_gets_no_residual(mode: str) -> None:
+    """The residual of the gated phase before must not live on in it."""
+    phases = tuple(replace(phase, gate=phase.name in ("track", "close")) for phase in TASK.phases)
+    env = Traced(ResidualEnv(replace(TASK, phases=phases), gate_mode=mode))
+    gated_decisions(env, condition(0, 5))
+    assert {step.planned.phase for step in env.trace.steps} >= {1, 2}
+    for step in env.trace.steps:
+        assert step.residual.any() == step.planned.gate
+    env.close()
+
+
 def test_a_decision_is_held_for_its_control_steps_and_cut_where_the_gate_changes(mask: Traced) -> None:
     lengths: list[tuple[bool, bool, int]] = []
     mask.reset(options={"condition": LIFTED})
