@@ -9,7 +9,13 @@ ENV_NAMES = {"can": "Can"}
 
 
 def env_id(task: str) -> str:
-    """Return the residual env's id of a task, e.g. "DynaForge/Can-v0"."""
+    """Return the residual env's id of a task, e.g. "DynaForge/Can-v0".
+
+    Raises:
+        ValueError: No such task.
+    """
+    if task not in ENV_NAMES:
+        raise ValueError(f"No env for task {task!r}; known tasks are {', '.join(ENV_NAMES)}.")
     return f"DynaForge/{ENV_NAMES[task]}-v0"
 
 

@@ -52,7 +52,7 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
         **{f"object/<name>/{key}": field for key, field in _BODY.items()},
         **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
         "planner_action": Field(("A",), "float64", "m, -, m", "base", "a_plan: target pose, then gripper width."),
-        "residual_action": Field(("R",), "float64", "-", "task", "Residual as the policy gave it, in its scale."),
+        "residual_action": Field(("R",), "float64", "m, rad, m", "world", "m * scale * a_res as applied."),
         "requested_action": Field(("A",), "float64", "m, -, m", "base", "a_plan + m * scale * residual, Eq. 5."),
         "projected_action": Field(("A",), "float64", "m, -, m", "base", "What the limits left of the request, Eq. 5."),
         "joint_reference": Field((7,), "float64", "rad", "-", "Joint positions commanded to the controller."),

@@ -6,9 +6,10 @@ import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 
 from dynaforge.demos import Attempt, Episode
@@ -54,24 +55,65 @@ def run_attempts(
         stop: Asked before another condition is handed out.
     """
     source = iter(conditions)
-    workers = workers or os.cpu_count() or 1
-    pool = _pool(task, generator, workers)
+    crew = _Crew(task, generator, workers or os.cpu_count() or 1)
     try:
-        running = [(c, pool.submit(_attempt, c)) for c in islice(source, 2 * workers)]
-        while running:
-            condition, future = running.pop(0)
-            try:
-                result = future.result(timeout=TIMEOUT)
-            except (BrokenProcessPool, TimeoutError) as error:
-                result = _lost(condition, generator.name, f"worker lost: {type(error).__name__}")
-                _kill(pool)
-                pool = _pool(task, generator, workers)
-                running = [(c, pool.submit(_attempt, c)) for c, _ in running]
+        crew.hand_out(islice(source, 2 * crew.size))
+        while crew.running:
+            result = crew.next_result()
             yield replace(result, attempt=replace(result.attempt, block=block))
             if not stop():
-                running += [(c, pool.submit(_attempt, c)) for c in islice(source, 1)]
+                crew.hand_out(islice(source, 1))
     finally:
-        _kill(pool)
+        crew.kill()
+
+
+class _Crew:
+    """Worker processes and the conditions they were handed, oldest first; a dead worker is replaced."""
+
+    def __init__(self, task: Task, generator: Generator, size: int) -> None:
+        self.size = size
+        self.running: list[tuple[Condition, Future[Result]]] = []
+        self._make = partial(_pool, task, generator)
+        self._name = generator.name
+        self._pool = self._make(size)
+
+    def hand_out(self, conditions: Iterable[Condition]) -> None:
+        for condition in conditions:
+            try:
+                future = self._pool.submit(_attempt, condition)
+            except BrokenProcessPool as error:  # a worker died meanwhile: its condition finds that out in its turn
+                future = Future()
+                future.set_exception(error)
+            self.running.append((condition, future))
+
+    def next_result(self) -> Result:
+        condition, future = self.running.pop(0)
+        try:
+            return future.result(timeout=TIMEOUT)
+        except TimeoutError:
+            result = self._lost(condition, f"it ran for {TIMEOUT:g} s")
+        except BrokenProcessPool:
+            result = self._alone(condition)  # who killed the worker is known only of a condition that runs alone
+        self.kill()
+        self._pool = self._make(self.size)
+        waiting, self.running = [c for c, _ in self.running], []
+        self.hand_out(waiting)
+        return result
+
+    def kill(self) -> None:
+        _kill(self._pool)
+
+    def _alone(self, condition: Condition) -> Result:
+        pool = self._make(1)
+        try:
+            return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
+        except (BrokenProcessPool, TimeoutError) as error:
+            return self._lost(condition, type(error).__name__)
+        finally:
+            _kill(pool)
+
+    def _lost(self, condition: Condition, why: str) -> Result:
+        return _lost(condition, self._name, f"worker lost: {why}")
 
 
 def _pool(task: Task, generator: Generator, workers: int) -> ProcessPoolExecutor:

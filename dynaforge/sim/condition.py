@@ -30,6 +30,8 @@ class Condition:
 
     def __post_init__(self) -> None:
         # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
+        if self.seed < 0:
+            raise ValueError(f"Condition has seed {self.seed}; a seed is 0 or more.")
         object.__setattr__(self, "seed", int(self.seed))
         object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)
         values = {name: float(value) + 0.0 for name, value in sorted(self.values.items())}

@@ -12,7 +12,7 @@ from dynaforge.sim.bullet import connect
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.robot import RobotDescription, franka
-from dynaforge.sim.spec import SceneSpec, asset_path
+from dynaforge.sim.spec import SceneSpec, asset_path, check_urdf
 from dynaforge.sim.state import BodyState, SceneState
 
 POSITION_GAIN = 0.3
@@ -108,6 +108,7 @@ class SimScene:
         self._inertia_per_kg: dict[str, list[float]] = {}
         for k, body in enumerate(self.spec.bodies):
             path = asset_path(body.urdf)
+            check_urdf(path)
             try:
                 index = client.loadURDF(
                     str(path), [0.0, k, PARKING_HEIGHT], flags=self._flags | p.URDF_USE_INERTIA_FROM_FILE

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
+from xml.etree import ElementTree
 
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim.condition import Condition
@@ -71,6 +72,22 @@ class SceneSpec:
     def substeps(self) -> int:
         """Physics substeps in one control step."""
         return round(self.control_dt / self.physics_dt)
+
+
+def check_urdf(path: Path) -> None:
+    """Make sure that a URDF is XML with one root link, since Bullet itself crashes on one with more.
+
+    Raises:
+        ValueError: It is not; names the file.
+    """
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"{path} is no XML, so no URDF: {error}.") from error
+    links = {link.get("name") for link in robot.findall("link")}
+    roots = links - {child.get("link") for child in robot.findall("joint/child")}
+    if len(roots) != 1:
+        raise ValueError(f"{path} is no URDF that can be loaded: it has {len(roots)} root links, and needs one.")
 
 
 def asset_path(name: str) -> Path:

@@ -4,7 +4,6 @@ import itertools
 import time
 from collections.abc import Iterator
 
-import pytest
 from faulty import Faulty
 
 from dynaforge.generators import PlannerOnly, Result, run_attempts
@@ -43,13 +42,11 @@ def test_a_dead_worker_is_a_failed_attempt_and_the_others_go_on() -> None:
     assert results[2].attempt.failure.startswith("worker lost")
 
 
-@pytest.mark.xfail(reason="a condition is blamed for the worker that another one killed", strict=True)
 def test_a_dead_worker_costs_no_other_condition_its_attempt() -> None:
     results = attempt_all(Faulty(dies=ids(1), slow=ids(0)))
     assert [r.attempt.success for r in results] == [True, False, True, True, True, True]
 
 
-@pytest.mark.xfail(reason="handing the next condition to a pool that broke meanwhile raises", strict=True)
 def test_a_worker_that_dies_while_the_caller_is_busy_does_not_end_the_run() -> None:
     results = []
     for result in run_attempts(TASK, Faulty(dies=ids(1)), CONDITIONS, workers=1):

@@ -177,10 +177,7 @@ SimScene(replace(get_task("can").scene, bodies=(BodySpec("can", sys.argv[1]),)))
         "<robot name='can'><link name='can'>",
         "not a robot",
         "<robot name='m'><link name='a'><visual><geometry><mesh/></geometry></visual></link></robot>",
-        pytest.param(
-            "<robot name='two'><link name='a'/><link name='b'/></robot>",
-            marks=pytest.mark.xfail(reason="Bullet itself crashes on a URDF with two root links", strict=True),
-        ),
+        "<robot name='two'><link name='a'/><link name='b'/></robot>",
     ],
     ids=["cut off", "no XML", "no mesh file", "two root links"],
 )
