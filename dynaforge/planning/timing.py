@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import toppra.solverwrapper
 from scipy.interpolate import CubicSpline  # type: ignore[import-untyped, unused-ignore]
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
@@ -14,6 +16,9 @@ from toppra.interpolator import AbstractGeometricPath
 
 from dynaforge.geometry import Array, JointTrajectory
 from dynaforge.sim.robot import RobotDescription
+
+# TOPP-RA asks at every plan which solvers can be imported, a third of its time; the answer does not change.
+toppra.solverwrapper.available_solvers = functools.cache(toppra.solverwrapper.available_solvers)
 
 LIMIT_SHARE = 0.97  # of the velocity and acceleration limits: leaves the tracking loop room to correct
 LINE_GRID = 20  # grid intervals of a straight edge
