@@ -18,6 +18,7 @@ from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference
 from dynaforge.generators import Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import STREAMS, TASK_NAMES, Task, get_task
 
 GENERATORS = ("planner_only", "residual", "oracle")
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `evaluate`."""
     parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}, or all")
     parser.add_argument("--generator", nargs="+", default=["planner_only"], help=f"of {', '.join(GENERATORS)}")
-    parser.add_argument("--policy", type=Path, help="policy file, for the generator residual")
+    parser.add_argument("--policy", type=Path, help="policy file, for the generator residual; default: the shipped one")
     parser.add_argument("--stream", default="val", choices=STREAMS, help="choose on val, report on test")
     parser.add_argument("--seeds", type=int, default=3, help="blocks of conditions")
     parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
@@ -64,7 +65,7 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
     """Make a generator by name.
 
     Raises:
-        ValueError: Unknown name, or a residual without a policy file.
+        ValueError: Unknown name, or a residual without a policy file, given or shipped.
     """
     if name == "planner_only":
         return PlannerOnly()
@@ -72,12 +73,19 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
         return Oracle(m=options.oracle_tries)
     if name != "residual":
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
-    if options.policy is None:
-        raise ValueError("The generator 'residual' needs --policy FILE.safetensors, which `dynaforge forge` writes.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
-    policy = MlpPolicyFile.load(options.policy, task=task.name)
+    policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task.name)
     return ResidualGenerator(policy, policy_hash=policy.digest)
+
+
+def _shipped_policy(task: Task) -> Path:
+    try:
+        return asset_path(f"{task.name}/policy.safetensors")
+    except FileNotFoundError:
+        raise ValueError(
+            f"No policy is shipped for task {task.name!r}: pass --policy FILE, which `dynaforge forge` makes."
+        ) from None
 
 
 def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:

@@ -4,7 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.main import main
+from dynaforge.sim.spec import asset_path
+from dynaforge.tasks import TASK_NAMES
 
 
 def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -25,7 +28,12 @@ def test_misspelt_task_is_answered_with_the_close_match(capsys: pytest.CaptureFi
 
 def test_unknown_generator_and_missing_policy_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "No generator 'magic'" in error_of(capsys, "evaluate", "--generator", "magic")
-    assert "needs --policy" in error_of(capsys, "evaluate", "--generator", "residual")
+    assert "No policy file gone" in error_of(capsys, "evaluate", "--generator", "residual", "--policy", "gone")
+
+
+def test_shipped_policies_are_policies_of_their_task() -> None:
+    for name in TASK_NAMES:
+        assert MlpPolicyFile.load(asset_path(f"{name}/policy.safetensors")).task == name
 
 
 def test_forge_refuses_a_folder_with_other_data_and_leaves_it_alone(
