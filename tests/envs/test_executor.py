@@ -114,7 +114,7 @@ def test_a_near_miss_of_the_can_never_becomes_a_success(near_miss: SceneState) -
 
 def test_a_hold_starts_anew_when_it_breaks() -> None:
     executor = start(program(phase("grasp", Grasped("can"), hold=0.1), phase("lift", Lifted("can", 0.1))))
-    for state in (GRASPED, GRASPED, scene(), GRASPED, GRASPED):
+    for state in (*[GRASPED] * 3, scene(), *[GRASPED] * 3):  # 0.1 s are four samples
         executor.advance(state, REFERENCE)
     assert executor.phase.name == "grasp"
     executor.advance(GRASPED, REFERENCE)

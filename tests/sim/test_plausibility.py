@@ -12,7 +12,8 @@ from dynaforge.envs.world import ControlStep
 from dynaforge.registration import ENV_NAMES
 
 DEEP = 0.010  # metres of penetration that an arm at full force may press an object into a hand or the table
-LONGEST = 6  # control steps that a deep contact may last: an impact and its rebound
+LONGEST = 6  # control steps that a deep contact may last under the planner: an impact and its rebound
+LONGEST_WILD = 12  # and under random residuals at full scale, which press the can down between hand and table
 PUSHED = 1.5  # m/s that a hand at its own speed limits may add to an object
 FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
 
@@ -59,10 +60,12 @@ def episodes(request: pytest.FixtureRequest) -> list[Watch]:
 
 
 def test_nothing_stays_inside_anything_else(episodes: list[Watch]) -> None:
+    wild = any(np.any(step.residual) for watch in episodes for step in watch.steps)
+    longest = LONGEST_WILD if wild else LONGEST
     for watch in episodes:
         for pair in watch.depths[0]:
             runs = [len(list(run)) for deep, run in groupby(d[pair] > DEEP for d in watch.depths) if deep]
-            assert max(runs, default=0) <= LONGEST, pair
+            assert max(runs, default=0) <= longest, pair
 
 
 def test_nothing_jumps(episodes: list[Watch]) -> None:
