@@ -17,11 +17,11 @@ from tqdm import tqdm
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference
-from dynaforge.generators import Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.generators import Exploring, Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import STREAMS, TASK_NAMES, Task, get_task
 
-GENERATORS = ("planner_only", "residual", "oracle")
+GENERATORS = ("planner_only", "residual", "exploring", "oracle")
 BINS = 8
 
 
@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
     parser.add_argument("--strata", action="store_true", help=f"spread each block evenly over {BINS} difficulty bins")
     parser.add_argument("--oracle-tries", type=int, default=64, help="constant residuals a condition")
+    parser.add_argument("--sigma", type=float, default=0.25, help="exploration of the generator exploring")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, help="JSON file to write, conditions and outcomes included")
 
@@ -71,11 +72,13 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
         return PlannerOnly()
     if name == "oracle":
         return Oracle(m=options.oracle_tries)
-    if name != "residual":
+    if name not in ("residual", "exploring"):
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
     policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task.name)
+    if name == "exploring":
+        return ResidualGenerator(Exploring(policy, options.sigma), policy_hash=policy.digest, name=name)
     return ResidualGenerator(policy, policy_hash=policy.digest)
 
 

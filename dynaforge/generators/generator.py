@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from importlib.metadata import version
 from typing import Any, Protocol
 
@@ -87,6 +88,24 @@ class ConstantResidual:
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         return self.action
+
+
+class Exploring:
+    """A policy with its exploration left on, Eq. 4; the noise is drawn from the observation, so episodes repeat.
+
+    Args:
+        policy: Mean of the residual.
+        sigma: Standard deviation, in units of the residual's scale.
+    """
+
+    def __init__(self, policy: ResidualPolicy, sigma: float) -> None:
+        self.policy = policy
+        self.sigma = sigma
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        mean = self.policy(observation)
+        rng = np.random.default_rng(zlib.crc32(observation.tobytes()))
+        return np.clip(mean + self.sigma * rng.standard_normal(mean.shape), -1.0, 1.0).astype(np.float32)
 
 
 class PlannerOnly:

@@ -8,7 +8,7 @@ import pytest
 from dynaforge.demos import Episode
 from dynaforge.demos.schema import validate_steps
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators import ConstantResidual, Oracle, PlannerOnly, ResidualGenerator
+from dynaforge.generators import ConstantResidual, Exploring, Oracle, PlannerOnly, ResidualGenerator
 from dynaforge.geometry import matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
@@ -141,3 +141,12 @@ def test_the_oracle_finds_what_some_constant_residual_can_win(env: ResidualEnv) 
 def test_generators_survive_pickling() -> None:
     for generator in (PlannerOnly(), ResidualGenerator(RESIDUAL, policy_hash="abc"), Oracle(m=3)):
         assert pickle.loads(pickle.dumps(generator)).name == generator.name
+
+
+def test_exploring_adds_noise_of_its_sigma_and_repeats_itself() -> None:
+    observations = np.random.default_rng(0).normal(size=(4000, 3)).astype(np.float32)
+    exploring = Exploring(ConstantResidual(np.array([0.1, -0.2], np.float32)), 0.2)
+    actions = np.array([exploring(observation) for observation in observations])
+    np.testing.assert_allclose(actions.mean(axis=0), [0.1, -0.2], atol=0.02)
+    np.testing.assert_allclose(actions.std(axis=0), 0.2, atol=0.02)
+    assert np.array_equal(exploring(observations[0]), actions[0])
