@@ -19,7 +19,7 @@ from dynaforge.reports import learning_curve, stratum_heatmap
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "runs", type=Path, nargs="+", help="folders with a history.json, as `dynaforge forge` writes it"
+        "runs", type=Path, nargs="+", help="folders with a history.json of `dynaforge forge`"
     )
     parser.add_argument("--out", type=Path, default=Path())
     options = parser.parse_args()
