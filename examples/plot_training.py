@@ -18,9 +18,7 @@ from dynaforge.reports import learning_curve, stratum_heatmap
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "runs", type=Path, nargs="+", help="folders with a history.json of `dynaforge forge`"
-    )
+    parser.add_argument("runs", type=Path, nargs="+", help="folders with a history.json of `dynaforge forge`")
     parser.add_argument("--out", type=Path, default=Path())
     options = parser.parse_args()
     success = {run.name: np.array(json.loads((run / "history.json").read_text())["success"]) for run in options.runs}
