@@ -15,7 +15,6 @@ import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-import dynaforge  # noqa: F401 - registers the envs
 from dynaforge.algos import FrontierGRPO
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv

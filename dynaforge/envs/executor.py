@@ -107,7 +107,7 @@ class PhaseExecutor:
             if impossible(view, self.action.target):
                 return self._fail(reason)
         self._held = self._held + 1 if phase.done(view, self.action.target) else 0
-        if self._held and (self._held - 1) * self._dt >= phase.hold - 1e-9:
+        if phase.is_held(self._held, self._dt):
             if self.index + 1 == len(self.task.phases):
                 self.outcome = Outcome(True, self.task.n_checkpoints, "", phase.name)
                 return None

@@ -134,7 +134,7 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         state, last = self._state, self.task.phases[-1]
         view = PhaseView(state, self._start, self._start, self._frames, self._frames)
         self._held = self._held + 1 if last.done(view, state.ee) else 0
-        if self._held and (self._held - 1) * self.task.scene.control_dt >= last.hold - 1e-9:
+        if last.is_held(self._held, self.task.scene.control_dt):
             return True, ""
         for reason, impossible in self.task.impossible:
             if impossible(view, state.ee):

@@ -46,6 +46,10 @@ class Phase:
     hold: float = 0.0
     track_until: Predicate | None = None
 
+    def is_held(self, samples: int, control_dt: float) -> bool:
+        """Tell whether `done`, true at the last `samples` control steps of `control_dt` seconds, held long enough."""
+        return samples > 0 and (samples - 1) * control_dt >= self.hold - 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class ResidualSpec:
