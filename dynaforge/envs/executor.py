@@ -89,6 +89,7 @@ class PhaseExecutor:
         self.outcome: Outcome | None = None
         self._seed = condition.seed
         self._start = state
+        self._grasp: SceneState | None = None
         self._frames = heading_frames(state, None)
         self._enter(0, state, reference)
 
@@ -103,11 +104,13 @@ class PhaseExecutor:
         self._steps += 1
         view = self._view(state)
         phase = self.phase
-        for reason, impossible in self.task.impossible:
+        for reason, impossible in (*phase.fails, *self.task.impossible):
             if impossible(view, self.action.target):
                 return self._fail(reason)
         self._held = self._held + 1 if phase.done(view, self.action.target) else 0
         if phase.is_held(self._held, self._dt):
+            if phase.takes_hold:
+                self._grasp = state
             if self.index + 1 == len(self.task.phases):
                 self.outcome = Outcome(True, self.task.n_checkpoints, "", phase.name)
                 return None
@@ -168,7 +171,9 @@ class PhaseExecutor:
         self.action = PlannedAction(self._target, phase.width, phase.gate, self.index, sample)
 
     def _view(self, state: SceneState) -> PhaseView:
-        return PhaseView(state, self._entry, self._start, self._frames, self._entry_frames, self._lead_time)
+        return PhaseView(
+            state, self._entry, self._start, self._frames, self._entry_frames, self._grasp, self._lead_time
+        )
 
     def _fail(self, reason: str) -> None:
         self.outcome = Outcome(False, self.index, reason, self.phase.name)

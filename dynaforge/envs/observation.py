@@ -17,6 +17,8 @@ from dynaforge.tasks import Task
 HISTORY = 4  # control steps
 LIMIT = 10.0  # scaled features are clipped here
 
+# Of each other thing that moves, when a task has several: what is held, where it goes.
+_PER_BODY = (("from_ee", 3, 0.2), ("velocity", 3, 1.0), ("axis", 3, 1.0))
 _PER_STEP = (("ee_from_object", 3, 0.1), ("object_velocity", 3, 1.0), ("width", 1, 0.08), ("touching", 2, 1.0))
 
 
@@ -38,11 +40,14 @@ class ObservationBuilder:
         self._one_hot = np.eye(len(task.phases))
         self._dt = task.scene.control_dt
         self._time_limit = task.time_limit
+        names = task.scene.tracked if len(task.scene.tracked) > 1 else ()
+        self._others = names
         self._history: deque[SceneState] = deque(maxlen=HISTORY)
         self.layout = (
             *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
             ("ee_velocity", 3, 1.0),
             ("object_angular_velocity", 3, 20.0),
+            *((f"{name}/{part}", size, scale) for name in names for part, size, scale in _PER_BODY),
             ("object_position", 3, 0.5),
             ("heading", 2, 1.0),
             ("plan_from_ee", 3, 0.1),
@@ -90,6 +95,7 @@ class ObservationBuilder:
         parts += (
             (state.ee.position - before.ee.position) @ to_frame / self._dt,
             body.angular_velocity @ to_frame,
+            *(part for name in self._others for part in self._seen(state, name, to_frame)),
             body.pose.position,
             (float(to_frame[0, 0]), float(to_frame[1, 0])),
             (plan.target.position - state.ee.position) @ to_frame,
@@ -109,6 +115,15 @@ class ObservationBuilder:
         vector = np.concatenate(parts) / self._scale
         clipped: NDArray[np.float32] = np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
         return clipped
+
+    @staticmethod
+    def _seen(state: SceneState, name: str, to_frame: Array) -> tuple[Array, Array, Array]:
+        body = state.objects[name]
+        return (
+            (body.pose.position - state.ee.position) @ to_frame,
+            body.velocity @ to_frame,
+            body.pose.rotation[:, 2] @ to_frame,
+        )
 
 
 def is_finite(values: NDArray[Any]) -> bool:

@@ -157,7 +157,7 @@ class ResidualEnv(gym.Env[Observation, Observation]):
     def _physical_residual(self) -> Array:
         """Scale the held action and turn it into the world frame, shape (7,)."""
         residual = np.zeros(7)
-        residual[self._active] = self._scales * self._last_action
+        residual[self._active] = self.executor.phase.residual_share * self._scales * self._last_action
         if self.residual_frame == "target":
             rotation = self.executor.frame.rotation
             residual[:3] = rotation @ residual[:3]

@@ -63,8 +63,8 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
             ("ee_quat_wxyz", 4),
             ("width", 1),
             *(
-                (f"{body.name}/{name}", size)
-                for body in self.task.scene.bodies
+                (f"{body}/{name}", size)
+                for body in self.task.scene.tracked
                 for name, size in (
                     ("position", 3), ("quat_wxyz", 4), ("velocity", 3), ("angular_velocity", 3), ("touching", 2),
                 )
@@ -148,9 +148,9 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
 def observe_flat(state: SceneState, task: Task) -> Array:
     """Lay the privileged state out flat, SI units, in the order of `TaskEnv.layout`."""
     parts: list[Any] = [state.q, state.dq, state.ee.position, state.ee.quat_wxyz, (state.width,)]
-    for spec in task.scene.bodies:
-        body = state.objects[spec.name]
+    for name in task.scene.tracked:
+        body = state.objects[name]
         parts += [body.pose.position, body.pose.quat_wxyz, body.velocity, body.angular_velocity]
-        parts.append(tuple(map(float, state.touching[spec.name])))
+        parts.append(tuple(map(float, state.touching[name])))
     parts.append((1.0 - state.time / task.time_limit,))
     return np.concatenate(parts)

@@ -38,7 +38,7 @@ class Recorder:
         if not steps:
             return {}
         before = [s.before for s in steps]
-        held = steps[0].planned is not None and self._task.phases[-1].target.object
+        held = steps[0].planned is not None and self._task.manipulated
         columns: dict[str, Any] = {
             "time": [s.time for s in before],
             "q": [s.q for s in before],
@@ -65,13 +65,15 @@ class Recorder:
                 "left_contact": [s.touching[held][0] for s in before],
                 "right_contact": [s.touching[held][1] for s in before],
             }
+        free = {body.name for body in self._task.scene.bodies}
         for name in before[0].objects:
             bodies = [s.objects[name] for s in before]
+            kind = f"{'object' if name in free else 'fixture'}/{name}"
             columns |= {
-                f"object/{name}/position": [b.pose.position for b in bodies],
-                f"object/{name}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
-                f"object/{name}/velocity": [b.velocity for b in bodies],
-                f"object/{name}/angular_velocity": [b.angular_velocity for b in bodies],
+                f"{kind}/position": [b.pose.position for b in bodies],
+                f"{kind}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
+                f"{kind}/velocity": [b.velocity for b in bodies],
+                f"{kind}/angular_velocity": [b.angular_velocity for b in bodies],
             }
         return {name: np.asarray(column) for name, column in columns.items()}
 

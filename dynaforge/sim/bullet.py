@@ -8,7 +8,12 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["connect", "pybullet"]
+import numpy as np
+
+from dynaforge.geometry import Pose
+from dynaforge.sim.spec import asset_path, check_urdf
+
+__all__ = ["connect", "joints_and_links", "load_asset", "pose_of", "pybullet"]
 
 
 @contextlib.contextmanager
@@ -37,3 +42,38 @@ def connect(*, gui: bool = False) -> Any:
     """Open a physics client of its own, with Bullet's window or without."""
     with _silent_terminal():
         return BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
+
+
+def joints_and_links(client: Any, body: int) -> tuple[dict[str, int], dict[str, int]]:
+    """Return Bullet's index of every joint and of every link of a body by name; the root link is -1."""
+    joints, links = {}, {client.getBodyInfo(body)[0].decode(): -1}
+    for i in range(client.getNumJoints(body)):
+        info = client.getJointInfo(body, i)
+        joints[info[1].decode()] = links[info[12].decode()] = i
+    return joints, links
+
+
+def pose_of(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:
+    """Turn what Bullet says of a frame into a pose."""
+    return Pose(np.array(pybullet.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3), np.array(position))
+
+
+def load_asset(client: Any, name: str, *, flags: int, fixed: bool, position: tuple[float, float, float]) -> int:
+    """Load a URDF below `assets/` and keep it awake for good.
+
+    Raises:
+        FileNotFoundError: No such asset.
+        ValueError: It cannot be loaded, or its root link's inertial frame is not its own: Bullet places bodies by it.
+    """
+    path = asset_path(name)
+    check_urdf(path)
+    try:
+        body: int = client.loadURDF(
+            str(path), position, useFixedBase=fixed, flags=flags | pybullet.URDF_USE_INERTIA_FROM_FILE
+        )
+    except pybullet.error as error:
+        raise ValueError(f"PyBullet cannot load {path}: it must be a URDF with one root link.") from error
+    if any(client.getDynamicsInfo(body, -1)[3]):
+        raise ValueError(f"{path}: the inertial origin of the root link must be 0 0 0.")
+    client.changeDynamics(body, -1, activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
+    return body

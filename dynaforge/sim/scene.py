@@ -1,4 +1,4 @@
-"""The PyBullet scene: robot, table and free bodies, reset exactly and stepped at the control rate."""
+"""The PyBullet scene: robot, table, free bodies and fixtures, reset exactly and stepped at the control rate."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ from functools import partial
 
 import numpy as np
 
-from dynaforge.geometry import Array, Pose
-from dynaforge.sim.bullet import connect
+from dynaforge.geometry import Array
+from dynaforge.sim.bullet import connect, joints_and_links, load_asset, pose_of
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.condition import Condition
+from dynaforge.sim.fixture import Fixture
 from dynaforge.sim.robot import RobotDescription, franka
-from dynaforge.sim.spec import SceneSpec, asset_path, check_urdf
+from dynaforge.sim.spec import Launch, Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
 
 POSITION_GAIN = 0.3
 VELOCITY_GAIN = 1.0
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to the motor's own limit
+PAD_STIFFNESS, PAD_DAMPING = 1e6, 2000.0  # N/m, N s/m; the URDF's own 3e4 N/m lets objects sink 19 mm into the fingers
 PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
 PARKED_STEPS = 10  # substeps at each reset; two were just enough for one object, one was not
 
@@ -49,6 +51,7 @@ class SimScene:
         self._configure_physics()
         self._load_robot()
         self._load_bodies()
+        self._load_fixtures()
         self._saved = self.client.saveState()
         self._bind_hot_calls()
         n = spec.substeps
@@ -70,10 +73,7 @@ class SimScene:
     def _load_robot(self) -> None:
         client, robot = self.client, self.robot
         self.robot_id = client.loadURDF(str(robot.urdf), useFixedBase=True, flags=self._flags)
-        joints, links = {}, {}
-        for i in range(client.getNumJoints(self.robot_id)):
-            info = client.getJointInfo(self.robot_id, i)
-            joints[info[1].decode()] = links[info[12].decode()] = i
+        joints, links = joints_and_links(client, self.robot_id)
         self._arm = [joints[name] for name in robot.arm_joints]
         self._fingers = [joints[name] for name in robot.finger_joints]
         self._ee = links[robot.ee_link]
@@ -91,7 +91,7 @@ class SimScene:
             client.resetJointState(self.robot_id, joint, robot.width_max / 2)
             client.changeDynamics(
                 self.robot_id, joint, lateralFriction=self.spec.finger_friction, spinningFriction=0.02,
-                rollingFriction=0.0,
+                rollingFriction=0.0, contactStiffness=PAD_STIFFNESS, contactDamping=PAD_DAMPING,
             )  # fmt: skip
         # PyBullet ignores <mimic>: without this gear the fingers drift apart under load.
         gear = client.createConstraint(
@@ -102,32 +102,31 @@ class SimScene:
 
     def _load_bodies(self) -> None:
         client = self.client
-        self.table_id = client.loadURDF(str(asset_path("table/table.urdf")), useFixedBase=True, flags=self._flags)
+        self.table_id = load_asset(client, "table/table.urdf", flags=self._flags, fixed=True, position=(0.0, 0.0, 0.0))
         client.changeDynamics(self.table_id, -1, lateralFriction=0.8, rollingFriction=0.0, spinningFriction=0.0)
         self.body_ids: dict[str, int] = {}
         self._inertia_per_kg: dict[str, list[float]] = {}
+        self._free_joints: dict[str, dict[str, int]] = {}
         for k, body in enumerate(self.spec.bodies):
-            path = asset_path(body.urdf)
-            check_urdf(path)
-            try:
-                index = client.loadURDF(
-                    str(path), [0.0, k, PARKING_HEIGHT], flags=self._flags | p.URDF_USE_INERTIA_FROM_FILE
-                )
-            except p.error as error:
-                raise ValueError(f"PyBullet cannot load {path}: it must be a URDF with one root link.") from error
-            client.changeDynamics(
-                index,
-                -1,
-                lateralFriction=body.lateral_friction,
-                rollingFriction=body.rolling_friction,
-                spinningFriction=body.spinning_friction,
-                linearDamping=0.0,
-                angularDamping=0.0,
-                activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING,
-            )
+            index = load_asset(client, body.urdf, flags=self._flags, fixed=False, position=(0.0, k, PARKING_HEIGHT))
+            joints, links = joints_and_links(client, index)
+            for link in links.values():
+                client.changeDynamics(
+                    index, link, lateralFriction=body.lateral_friction, rollingFriction=body.rolling_friction,
+                    spinningFriction=body.spinning_friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                )  # fmt: skip
+            for joint in joints.values():  # Bullet gives every joint a motor that holds it
+                client.setJointMotorControl2(index, joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0)
             mass, _, inertia = client.getDynamicsInfo(index, -1)[:3]
             self._inertia_per_kg[body.name] = (np.array(inertia) / mass).tolist()
             self.body_ids[body.name] = index
+            self._free_joints[body.name] = joints
+
+    def _load_fixtures(self) -> None:
+        self.fixtures = {
+            spec.name: Fixture(self.client, spec, flags=self._flags, waiting_at=(0.0, -1.0 - k, PARKING_HEIGHT))
+            for k, spec in enumerate(self.spec.fixtures)
+        }
 
     def _bind_hot_calls(self) -> None:
         # BulletClient looks every call up anew: a third of the cost of the short ones.
@@ -159,16 +158,24 @@ class SimScene:
         for _ in range(PARKED_STEPS):
             self._step_physics()
         client.restoreState(self._saved)
-        for name, launch in self.spec.launch(condition).items():
-            body = self.body_ids[name]
-            w, x, y, z = launch.pose.quat_wxyz.tolist()
-            inertia = [launch.mass * i for i in self._inertia_per_kg[name]]
-            client.changeDynamics(body, -1, mass=launch.mass, localInertiaDiagonal=inertia)
-            client.resetBasePositionAndOrientation(body, launch.pose.position.tolist(), (x, y, z, w))
-            client.resetBaseVelocity(body, launch.velocity.tolist(), launch.angular_velocity.tolist())
+        for name, start in self.spec.launch(condition).items():
+            if isinstance(start, Placement):
+                self.fixtures[name].place(start)
+            else:
+                self._launch(name, start)
         self._time = 0.0
         self._q_reference = self.robot.q_ready
         return self.observe()
+
+    def _launch(self, name: str, launch: Launch) -> None:
+        client, body, joints = self.client, self.body_ids[name], self._free_joints[name]
+        w, x, y, z = launch.pose.quat_wxyz.tolist()
+        inertia = [launch.mass * i for i in self._inertia_per_kg[name]]
+        client.changeDynamics(body, -1, mass=launch.mass, localInertiaDiagonal=inertia)
+        client.resetBasePositionAndOrientation(body, launch.pose.position.tolist(), (x, y, z, w))
+        client.resetBaseVelocity(body, launch.velocity.tolist(), launch.angular_velocity.tolist())
+        for joint, speed in launch.joint_speeds.items():
+            client.resetJointState(body, joints[joint], 0.0, speed)
 
     def step(self, q_reference: Array, width_reference: float) -> SceneState:
         """Advance one control step toward a joint reference.
@@ -185,6 +192,8 @@ class SimScene:
         path = start + self._substep_shares * (q_reference - start)
         for command in self._finger_motors:
             command(targetPosition=width_reference / 2)
+        for fixture in self.fixtures.values():
+            fixture.drive(self._time + self.spec.control_dt, self.spec.control_dt)
         for q in path.tolist():
             self._command_arm(targetPositions=q, targetVelocities=velocity)
             self._step_physics()
@@ -200,19 +209,24 @@ class SimScene:
         objects, touching, on_table = {}, {}, {}
         for name, body in self.body_ids.items():
             velocity, angular = self._body_twist(body)
-            objects[name] = BodyState(_pose(*self._body_pose(body)), np.array(velocity), np.array(angular))
+            objects[name] = BodyState(pose_of(*self._body_pose(body)), np.array(velocity), np.array(angular))
             links = [contact[3] for contact in self._contacts(self.robot_id, body)]
             touching[name] = (left in links, right in links)
             on_table[name] = bool(self._contacts(body, self.table_id))
+        for name, fixture in self.fixtures.items():
+            objects[name] = fixture.observe()
+            links = fixture.touched_by(self._contacts(self.robot_id, fixture.body))
+            touching[name] = (left in links, right in links)
         return SceneState(
             time=self._time,
             q=np.array([joint[0] for joint in joints[:7]]),
             dq=np.array([joint[1] for joint in joints[:7]]),
-            ee=_pose(link[4], link[5]),
+            ee=pose_of(link[4], link[5]),
             width=joints[7][0] + joints[8][0],
             objects=objects,
             touching=touching,
             on_table=on_table,
+            pressed={name: fixture.pressed for name, fixture in self.fixtures.items() if fixture.spec.spring},
         )
 
     def close(self) -> None:
@@ -221,7 +235,3 @@ class SimScene:
             self._open = False
             with contextlib.suppress(p.error):
                 self.client.disconnect()
-
-
-def _pose(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:
-    return Pose(np.array(p.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3), np.array(position))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from dynaforge.geometry import Array, Pose
 
@@ -32,9 +32,10 @@ class SceneState:
         q, dq: Measured arm joint positions (rad) and velocities (rad/s), shape (7,).
         ee: `T_world_ee`, measured.
         width: Measured opening between the fingers, metres.
-        objects: Free bodies by name.
-        touching: For each free body, whether the left and the right finger touch it.
+        objects: Free bodies and fixtures (their tracked link) by name.
+        touching: For each of them, whether the left and the right finger touch it.
         on_table: For each free body, whether it touches the table.
+        pressed: For each fixture with a spring, how far it is pressed in, metres.
     """
 
     time: float
@@ -45,3 +46,4 @@ class SceneState:
     objects: Mapping[str, BodyState]
     touching: Mapping[str, tuple[bool, bool]]
     on_table: Mapping[str, bool]
+    pressed: Mapping[str, float] = field(default_factory=dict)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import difflib
 from importlib import import_module
 
+from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 __all__ = ["STREAMS", "TASK_NAMES", "ConditionSpace", "Mode", "Phase", "ResidualSpec", "Task", "get_task"]
 
-TASK_NAMES = ("can",)
+TASK_NAMES = tuple(ENV_NAMES)
 """Every task: a module of this package with a `TASK`."""
 
 

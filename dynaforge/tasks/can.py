@@ -72,11 +72,11 @@ TASK = Task(
         ),
         Phase(
             "track", Mode.IK, Above("can", 0.085), width=0.08, gate=True,
-            done=Aligned("can", 0.012), hold=1 / 30, timeout=2.5, failure="lost track",
+            done=Aligned("can", 0.012, 0.03), hold=1 / 30, timeout=2.5, failure="lost track",
         ),
         Phase(
             "descend", Mode.IK, Above("can", 0.0), width=0.08, gate=True,
-            done=Aligned("can", 0.02, height=0.012), timeout=1.0, failure="missed descent",
+            done=Aligned("can", 0.02, 0.03, height=0.012), timeout=1.0, failure="missed descent",
             track_until=Touched("can"),
         ),
         Phase(

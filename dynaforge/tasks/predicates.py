@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from dynaforge.geometry import Pose
 from dynaforge.tasks.view import PhaseView
 
@@ -26,6 +28,16 @@ class All:
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return all(part(view, target) for part in self.parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Not:
+    """`part` does not hold."""
+
+    part: Predicate
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return not self.part(view, target)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,18 +62,40 @@ class Near:
 
 
 @dataclass(frozen=True, slots=True)
-class Aligned:
-    """The hand is above the object: within `distance` metres on the plane, and `height` metres above its centre."""
+class Around:
+    """The object's origin is within `distance` metres of the end effector."""
 
     object: str
     distance: float
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return math.dist(view.state.ee.position, view.state.objects[self.object].pose.position) <= self.distance
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """The hand is above the object.
+
+    Attributes:
+        object: The object.
+        along: Within so many metres along its heading.
+        across: Within so many metres across it; None: as `along`, which then bounds the distance on the plane.
+        height: The end effector is no more than this above the object's origin, metres.
+    """
+
+    object: str
+    along: float
+    across: float | None = None
     height: float = math.inf
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
-        if plane_distance(view, self.object) > self.distance:
+        frame = view.frames[self.object]
+        x, y, z = ((view.state.ee.position - frame.position) @ frame.rotation).tolist()
+        if z > self.height:
             return False
-        above = view.state.ee.position[2] - view.state.objects[self.object].pose.position[2]
-        return bool(above <= self.height)
+        if self.across is None:
+            return math.hypot(x, y) <= self.along
+        return abs(x) <= self.along and abs(y) <= self.across
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +116,112 @@ class Grasped:
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return all(view.state.touching[self.object])
+
+
+@dataclass(frozen=True, slots=True)
+class Released:
+    """No finger touches the object."""
+
+    object: str
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return not any(view.state.touching[self.object])
+
+
+@dataclass(frozen=True, slots=True)
+class Narrowed:
+    """The opening between the fingers is at most `width` metres."""
+
+    width: float
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return bool(view.state.width <= self.width)
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """A point of the held object stands over or inside another object.
+
+    Attributes:
+        held: Whose point it is.
+        object: The other object.
+        distance: Of the point from the vertical axis through the other's origin, metres, at most.
+        height: Of the point above the other's origin, metres, at most.
+        tool: The point in the frame of `held`, metres.
+    """
+
+    held: str
+    object: str
+    distance: float
+    height: float
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        point = view.state.objects[self.held].pose.apply(np.array(self.tool))
+        x, y, z = (point - view.state.objects[self.object].pose.position).tolist()
+        return math.hypot(x, y) <= self.distance and z <= self.height
+
+
+@dataclass(frozen=True, slots=True)
+class Upright:
+    """The object's z axis is within `tilt` radians of the vertical, either way up."""
+
+    object: str
+    tilt: float
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return abs(float(view.state.objects[self.object].pose.rotation[2, 2])) >= math.cos(self.tilt)
+
+
+@dataclass(frozen=True, slots=True)
+class AtRestOn:
+    """The object moves with another one: their speeds differ by at most `speed` m/s where it is."""
+
+    object: str
+    other: str
+    speed: float
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        body, carrier = view.state.objects[self.object], view.state.objects[self.other]
+        arm = body.pose.position - carrier.pose.position
+        relative = body.velocity - carrier.velocity - np.cross(carrier.angular_velocity, arm)
+        return float(relative @ relative) <= self.speed * self.speed
+
+
+@dataclass(frozen=True, slots=True)
+class Clicked:
+    """A closed fingertip presses the middle of a button past its click point.
+
+    Attributes:
+        button: The fixture whose spring holds the button.
+        travel: How far the button must be pressed in, metres.
+        off_centre: Of the hand's axis from the button's, metres, at most.
+        width: Of the opening between the fingers, metres, at most.
+    """
+
+    button: str
+    travel: float
+    off_centre: float
+    width: float = 0.005
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        state = view.state
+        closed = state.width <= self.width and any(state.touching[self.button])
+        return (
+            closed
+            and state.pressed[self.button] >= self.travel
+            and (plane_distance(view, self.button) <= self.off_centre)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class OnTable:
+    """The object touches the table."""
+
+    object: str
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return view.state.on_table[self.object]
 
 
 @dataclass(frozen=True, slots=True)

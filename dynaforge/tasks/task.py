@@ -33,6 +33,9 @@ class Phase:
         gate: The residual gate m of Eq. 5.
         hold: Seconds from the first to the last of the control steps at which `done` held without a break.
         track_until: Once this holds, the target freezes: the hand must not chase what it pushes.
+        takes_hold: At its end the object in the hand is measured: the tool frame of targets that come after.
+        residual_share: Share of the task's residual scales that the residual has in this phase.
+        fails: (reason, predicate) pairs that end the episode at once while this phase runs.
     """
 
     name: str
@@ -45,6 +48,9 @@ class Phase:
     gate: bool = False
     hold: float = 0.0
     track_until: Predicate | None = None
+    takes_hold: bool = False
+    residual_share: float = 1.0
+    fails: tuple[tuple[str, Predicate], ...] = ()
 
     def is_held(self, samples: int, control_dt: float) -> bool:
         """Tell whether `done`, true at the last `samples` control steps of `control_dt` seconds, held long enough."""
@@ -108,6 +114,11 @@ class Task:
     impossible: tuple[tuple[str, Predicate], ...]
     residual: ResidualSpec = field(default_factory=ResidualSpec)
     camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.5, -0.35, 0.85), (0.32, 0.0, 0.2))
+
+    @property
+    def manipulated(self) -> str:
+        """The object that the hand acts on: the first free body, or the one fixture."""
+        return self.scene.tracked[0]
 
     @property
     def n_checkpoints(self) -> int:

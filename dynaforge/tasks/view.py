@@ -20,9 +20,10 @@ class PhaseView:
         state: The latest measured scene.
         entry: The scene at the entry of this phase.
         start: The scene at t = 0.
-        frames: Heading frame `T_world_heading` of every free body: at its position, x along its velocity on the
-            plane, z up; below 2 cm/s it keeps the last direction.
+        frames: Heading frame `T_world_heading` of every object: at its position, x along its velocity on the plane, z
+            up; below 2 cm/s it keeps the last direction, at first that of its own x axis.
         entry_frames: The heading frames at the entry of this phase.
+        grasp: The scene when a phase last took hold of an object (`Phase.takes_hold`); None before.
         lead_time: Seconds of constant-velocity prediction, 0 for the prior as the paper has it.
     """
 
@@ -31,11 +32,17 @@ class PhaseView:
     start: SceneState
     frames: Mapping[str, Pose]
     entry_frames: Mapping[str, Pose]
+    grasp: SceneState | None = None
     lead_time: float = 0.0
+
+    def T_ee_held(self, name: str) -> Pose:  # noqa: N802 - named as poses are
+        """Pose of an object in the hand as measured at the grasp; now, if nothing was grasped."""
+        grasp = self.grasp or self.state
+        return grasp.ee.inverse() @ grasp.objects[name].pose
 
 
 def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> dict[str, Pose]:
-    """Attach a heading frame to every free body; `previous` holds those of the control step before."""
+    """Attach a heading frame to every object; `previous` holds those of the control step before."""
     frames = {}
     for name, body in state.objects.items():
         vx, vy, _ = body.velocity.tolist()
@@ -44,6 +51,15 @@ def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> di
         elif previous is not None:
             rotation = previous[name].rotation
         else:
-            rotation = rotation_z(0.0)
+            rotation = rotation_z(yaw(body.pose))
         frames[name] = Pose(rotation, body.pose.position)
     return frames
+
+
+def yaw(pose: Pose) -> float:
+    """Angle of a body's x axis on the plane, radians; of its y axis less a quarter turn where x stands upright."""
+    x, y, z = pose.rotation[:, 0].tolist()
+    if abs(z) < 0.9:
+        return math.atan2(y, x)
+    x, y, _ = pose.rotation[:, 1].tolist()
+    return math.atan2(y, x) - math.pi / 2

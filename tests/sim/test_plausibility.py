@@ -11,9 +11,9 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
 from dynaforge.registration import ENV_NAMES
 
-DEEP = 0.010  # metres of penetration that an arm at full force may press an object into a hand or the table
-LONGEST = 6  # control steps that a deep contact may last under the planner: an impact and its rebound
-LONGEST_WILD = 12  # and under random residuals at full scale, which press the can down between hand and table
+DEEP = 0.005  # metres of penetration that an impact may make
+LONGEST = 3  # control steps that a deep contact may last under the planner: an impact and its rebound
+LONGEST_WILD = 6  # and under random residuals at full scale, which press objects down between hand and table
 PUSHED = 1.5  # m/s that a hand at its own speed limits may add to an object
 FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
 
@@ -76,7 +76,11 @@ def test_nothing_jumps(episodes: list[Watch]) -> None:
                 before = step.before.objects[name]
                 way = np.linalg.norm(after.pose.position - before.pose.position)
                 speed = max(np.linalg.norm(before.velocity), np.linalg.norm(after.velocity))
-                assert way <= speed * watch.scene.spec.control_dt + 0.005
+                near = min(
+                    np.linalg.norm(s.ee.position - s.objects[name].pose.position) for s in (step.before, step.after)
+                )
+                struck = PUSHED if near < FAR else 0.0  # and may be struck and stopped again within a control step
+                assert way <= (speed + struck) * watch.scene.spec.control_dt + 0.005
 
 
 def test_no_object_is_faster_than_launch_and_hand_can_make_it(episodes: list[Watch]) -> None:

@@ -39,4 +39,4 @@ def view(
 ) -> PhaseView:
     """Look at a scene from a phase entered at `entry` of an episode begun at `start`, both by default this scene."""
     entry, start = entry or state, start or state
-    return PhaseView(state, entry, start, heading_frames(state, None), heading_frames(entry, None), lead_time)
+    return PhaseView(state, entry, start, heading_frames(state, None), heading_frames(entry, None), lead_time=lead_time)

@@ -1,0 +1,112 @@
+"""A fixture in physics: bolted down, its joints moved by motors and springs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynaforge.sim.bullet import joints_and_links, load_asset, pose_of
+from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.spec import Drive, FixtureSpec, Placement
+from dynaforge.sim.state import BodyState
+
+STANDING = Drive()
+
+
+class Fixture:
+    """One fixture of a scene, all its variants loaded; a placement picks the one that stands there.
+
+    Motors only ever push: each control step asks them for the speed that meets the drive at its end.
+
+    Args:
+        client: The physics client.
+        spec: What it is.
+        flags: For loading.
+        waiting_at: Where its variants wait, metres.
+    """
+
+    def __init__(self, client: Any, spec: FixtureSpec, *, flags: int, waiting_at: tuple[float, float, float]) -> None:
+        self.spec = spec
+        self._client = client
+        x, y, z = waiting_at
+        self.variants = [
+            load_asset(client, urdf, flags=flags, fixed=True, position=(x, y, z + k))
+            for k, urdf in enumerate(spec.urdfs)
+        ]
+        self._joints, self._links = [], []
+        for body, urdf in zip(self.variants, spec.urdfs, strict=True):
+            joints, links = joints_and_links(client, body)
+            for name in (*spec.driven, *([spec.spring.joint] if spec.spring else [])):
+                if name not in joints:
+                    raise ValueError(f"{urdf} has no joint {name!r}; it has {sorted(joints)}.")
+            if spec.link not in links:
+                raise ValueError(f"{urdf} has no link {spec.link!r}; it has {sorted(links)}.")
+            self._joints.append(joints)
+            self._links.append(links[spec.link])
+            self._configure(body, joints)
+        self.place(None)
+
+    def _configure(self, body: int, joints: dict[str, int]) -> None:
+        client, spec = self._client, self.spec
+        for link in range(-1, client.getNumJoints(body)):
+            client.changeDynamics(
+                body, link, lateralFriction=spec.lateral_friction, rollingFriction=spec.rolling_friction,
+                spinningFriction=0.0, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+            )  # fmt: skip
+        self._efforts = {name: client.getJointInfo(body, index)[10] for name, index in joints.items()}
+        if spec.spring is not None:
+            client.setJointMotorControl2(
+                body, joints[spec.spring.joint], p.POSITION_CONTROL, targetPosition=0.0, positionGain=0.2,
+                velocityGain=1.0, force=spec.spring.force,
+            )  # fmt: skip
+
+    def place(self, placement: Placement | None) -> None:
+        """Put one variant where a condition wants it; None leaves all of them waiting.
+
+        Raises:
+            ValueError: No such variant, or a drive for a joint that is not driven.
+        """
+        self.placement = placement
+        variant = placement.variant if placement is not None else 0
+        if not 0 <= variant < len(self.variants):
+            raise ValueError(f"Fixture {self.spec.name!r} has no variant {variant}; it has {len(self.variants)}.")
+        self.body, self._link = self.variants[variant], self._links[variant]
+        joints = self._joints[variant]
+        self._motors = [(joints[name], STANDING, self._efforts[name]) for name in self.spec.driven]
+        self._spring_joint = joints[self.spec.spring.joint] if self.spec.spring is not None else None
+        if placement is None:
+            return
+        if unknown := sorted(set(placement.drives) - set(self.spec.driven)):
+            raise ValueError(f"Fixture {self.spec.name!r} drives {self.spec.driven}, not {unknown}.")
+        w, x, y, z = placement.pose.quat_wxyz.tolist()
+        self._client.resetBasePositionAndOrientation(self.body, placement.pose.position.tolist(), (x, y, z, w))
+        self._motors = [
+            (joints[name], placement.drives.get(name, STANDING), self._efforts[name]) for name in self.spec.driven
+        ]
+        for joint, drive, _ in self._motors:
+            self._client.resetJointState(self.body, joint, drive.start, drive.speed(0.0))
+
+    def drive(self, time: float, dt: float) -> None:
+        """Ask the motors for the speeds that bring every driven joint to where it is due at `time` in `dt` seconds."""
+        for joint, drive, effort in self._motors:
+            speed = (drive.position(time) - self._client.getJointState(self.body, joint)[0]) / dt
+            self._client.setJointMotorControl2(self.body, joint, p.VELOCITY_CONTROL, targetVelocity=speed, force=effort)
+
+    def observe(self) -> BodyState:
+        """Return pose and twist of the tracked link."""
+        if self._link == -1:
+            return BodyState(pose_of(*self._client.getBasePositionAndOrientation(self.body)), np.zeros(3), np.zeros(3))
+        link = self._client.getLinkState(self.body, self._link, computeLinkVelocity=1, computeForwardKinematics=1)
+        return BodyState(pose_of(link[4], link[5]), np.array(link[6]), np.array(link[7]))
+
+    def touched_by(self, contacts: tuple[Any, ...]) -> list[int]:
+        """Of contacts of the robot with this fixture, return the robot's links that touch the tracked link."""
+        return [contact[3] for contact in contacts if contact[4] == self._link]
+
+    @property
+    def pressed(self) -> float:
+        """How far its spring is pressed in, metres; 0 without one."""
+        if self._spring_joint is None:
+            return 0.0
+        return -float(self._client.getJointState(self.body, self._spring_joint)[0])
