@@ -6,16 +6,18 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch as th
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
-from stable_baselines3.common.base_class import BaseAlgorithm
 
 from dynaforge.demos import atomic_write
+
+if TYPE_CHECKING:  # workers that only run a policy do without torch, which takes seconds to import
+    import torch as th
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
 FORMAT = "dynaforge-policy"
 _ACTIVATIONS: dict[str, Callable[[Any], Any]] = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
@@ -66,8 +68,10 @@ class MlpPolicyFile:
         """
         policy: Any = model.policy
         net = [*policy.mlp_extractor.policy_net, policy.action_net]
-        linear = [m for m in net if isinstance(m, th.nn.Linear)]
-        names = {type(m).__name__ for m in net if not isinstance(m, th.nn.Linear)}
+        from torch.nn import Linear
+
+        linear = [m for m in net if isinstance(m, Linear)]
+        names = {type(m).__name__ for m in net if not isinstance(m, Linear)}
         if len(names) > 1 or type(policy.features_extractor).__name__ != "FlattenExtractor":
             raise ValueError("Only a plain MLP policy can be written as a policy file.")
         layers = [(_array(m.weight), _array(m.bias)) for m in linear]

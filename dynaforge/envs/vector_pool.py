@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import pickle
 import select
@@ -19,13 +18,13 @@ from typing import Any
 
 import gymnasium as gym
 
+from dynaforge.envs.processes import single_threaded, worker_context
 from dynaforge.envs.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
 from dynaforge.envs.vector_worker import (
     CLOSE,
     EMPTY,
     FAILURE,
     NO_ENV,
-    SINGLE_THREAD,
     Layout,
     SharedArrays,
     dump,
@@ -143,15 +142,13 @@ class WorkerPool:
         self._arrays = None
 
     def _start(self) -> None:
-        methods = multiprocessing.get_all_start_methods()
-        # Never fork: locks held by the parent's threads (torch, BLAS) would stay locked in the child.
-        context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
+        context = worker_context()
         self._poll = select.poll()
         self._owner: dict[int, int] = {}
-        with _single_threaded():
+        with single_threaded():
             for worker, share in enumerate(self.shares):
                 pipe, far_end = context.Pipe()
-                process: BaseProcess = context.Process(  # type: ignore[attr-defined]
+                process: BaseProcess = context.Process(
                     target=run_worker, args=(far_end, worker, share.start), name=f"env-worker-{worker}", daemon=True
                 )
                 process.start()
@@ -257,21 +254,6 @@ def _pickle_fn(index: int, env_fn: EnvFn) -> bytes:
         return dump(env_fn)
     except (pickle.PicklingError, TypeError) as error:
         raise TypeError(f"env_fns[{index}] cannot be sent to a worker process: {error}. Make the env in it.") from error
-
-
-@contextlib.contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Let processes started meanwhile inherit one thread for every numerical library."""
-    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
-    os.environ.update(SINGLE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextlib.contextmanager

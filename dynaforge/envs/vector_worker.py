@@ -25,6 +25,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaforge.envs.processes import SINGLE_THREAD
+
 # What a step did to an env, one byte an env in the shared array "status".
 STEPPED, TRUNCATED, IDLE, STARTED = range(4)
 # Commands without arguments; every other command is a pickled tuple (name, *arguments).
@@ -33,7 +35,6 @@ STEP, CLOSE = b"step", b"close"
 EMPTY, PAYLOAD, FAILURE = b".", b"+", b"!"
 # Entry of the shared array "running" of a worker that is in none of its envs.
 NO_ENV = -1
-SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 PARENT_GONE_GRACE = 1.0  # s
 
 SharedArrays = dict[Hashable, NDArray[Any]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -13,6 +12,7 @@ from functools import partial
 from itertools import islice
 
 from dynaforge.demos import Attempt, Episode
+from dynaforge.envs.processes import worker_context
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
@@ -117,8 +117,7 @@ class _Crew:
 
 
 def _pool(task: Task, generator: Generator, workers: int) -> ProcessPoolExecutor:
-    context = multiprocessing.get_context("forkserver")
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_start, initargs=(task, generator))
+    return ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start, initargs=(task, generator))
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:

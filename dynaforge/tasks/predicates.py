@@ -95,7 +95,7 @@ class Aligned:
             return False
         if self.across is None:
             return math.hypot(x, y) <= self.along
-        return abs(x) <= self.along and abs(y) <= self.across
+        return bool(abs(x) <= self.along and abs(y) <= self.across)
 
 
 @dataclass(frozen=True, slots=True)
