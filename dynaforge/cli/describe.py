@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from itertools import islice
+from pathlib import Path
 
+from dynaforge.demos import atomic_write
 from dynaforge.registration import env_id
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
@@ -11,17 +14,23 @@ from dynaforge.tasks import TASK_NAMES, Task, get_task
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `list` or `describe`."""
     if command == "describe":
-        parser.add_argument("task", help=f"one of {', '.join(TASK_NAMES)}")
+        parser.add_argument("task", help=f"one of {', '.join(TASK_NAMES)}, or all")
+        parser.add_argument(
+            "--out", type=Path, help="folder for the page and a picture of the skill; with all, a contact sheet too"
+        )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print one task, or all of them a line each."""
-    if "task" in options:
-        print(description(get_task(options.task)))
+    """Print one task, or all of them a line each; with `--out`, write pages and pictures."""
+    if "task" not in options:
+        for name in TASK_NAMES:
+            task = get_task(name)
+            print(f"{name:<12} {env_id(name):<24} {task.skill:<16} {task.goal}")
         return 0
-    for name in TASK_NAMES:
-        task = get_task(name)
-        print(f"{name:<12} {env_id(name):<24} {task.skill:<16} {task.goal}")
+    tasks = [get_task(name) for name in (TASK_NAMES if options.task == "all" else [options.task])]
+    if options.out is not None:
+        return _write(tasks, options.out)
+    print("\n\n".join(description(task) for task in tasks))
     return 0
 
 
@@ -29,16 +38,17 @@ def description(task: Task) -> str:
     """Return a page about a task, Markdown, made from its data alone."""
     lines = [f"# {task.env_name}: {task.skill}", "", f"Env id `{env_id(task.name)}`.", ""]
     lines += [f"**Motion.** {task.motion}", "", f"**Randomisation.** {task.randomisation}", ""]
-    lines += [
-        f"**Success.** {task.goal}",
-        "",
-        "| phase | mode | residual | timeout | fails with |",
-        "|---|---|---|---|---|",
-    ]
+    lines += [f"**Success.** {task.goal}", "", "| phase | mode | residual | timeout | fails with |"]
+    lines.append("|---|---|---|---|---|")
     for phase in task.phases:
-        gate = "on" if phase.gate else "-"
-        lines.append(f"| {phase.name} | {phase.mode} | {gate} | {phase.timeout:g} s | {phase.failure} |")
-    lines += ["", "| condition | from | to |", "|---|---|---|"]
+        gate = (
+            f"x {phase.residual_share:g}" if phase.gate and phase.residual_share != 1 else "on" if phase.gate else "-"
+        )
+        reasons = ", ".join(dict.fromkeys((phase.failure, *(reason for reason, _ in phase.fails))))
+        lines.append(f"| {phase.name} | {phase.mode} | {gate} | {phase.timeout:g} s | {reasons} |")
+    always = ", ".join(dict.fromkeys(reason for reason, _ in task.impossible))
+    lines += ["", f"In every phase it may fail with: {always or 'nothing else'}.", ""]
+    lines += ["| condition | from | to |", "|---|---|---|"]
     for name, (low, high) in task.conditions.ranges.items():
         mark = " (difficulty)" if name == task.conditions.difficulty else ""
         lines.append(f"| {name}{mark} | {low:.4g} | {high:.4g} |")
@@ -46,3 +56,24 @@ def description(task: Task) -> str:
     lines += ["", f"Residual scales (x, y, z in m; rotation x, y, z in rad; width in m): {scales};"]
     lines.append(f"{task.residual.frame} frame, one decision every {task.residual.decision_steps} control steps.")
     return "\n".join(lines)
+
+
+def _write(tasks: list[Task], folder: Path) -> int:
+    from dynaforge.cli.film import skill_picture
+    from dynaforge.reports import contact_sheet, encode_png
+
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = []
+    for task in tasks:
+        picture = skill_picture(task, islice(task.conditions.stream("val", n_strata=8), 64))
+        pictures.append(picture)
+        atomic_write(folder / f"{task.name}.png", encode_png(picture))
+        head, _, rest = description(task).partition("\n")
+        page = f"{head}\n\n![{task.env_name}]({task.name}.png)\n{rest}\n"
+        atomic_write(folder / f"{task.name}.md", page.encode())
+        print(f"written to {folder / task.name}.md")
+    if len(tasks) > 1:
+        labels = [f"{task.env_name}: {task.skill}" for task in tasks]
+        atomic_write(folder / "tasks.png", contact_sheet(pictures, labels, columns=3))
+        print(f"written to {folder / 'tasks.png'}")
+    return 0

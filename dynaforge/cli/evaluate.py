@@ -7,6 +7,7 @@ import json
 import os
 import shlex
 import sys
+import time
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -16,7 +17,7 @@ from tqdm import tqdm
 
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
-from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference
+from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.generators import Exploring, Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import STREAMS, TASK_NAMES, Task, get_task
@@ -37,15 +38,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--oracle-tries", type=int, default=64, help="constant residuals a condition")
     parser.add_argument("--sigma", type=float, default=0.25, help="exploration of the generator exploring")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--out", type=Path, help="JSON file to write, conditions and outcomes included")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="JSON file, conditions and outcomes included; by default runs/evaluate/GENERATORS-STREAM.json",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure, print and store."""
     names = TASK_NAMES if options.task == ["all"] else options.task
     tasks = [get_task(name) for name in names]
-    for task in tasks:
-        generators = [make_generator(name, task, options) for name in options.generator]
+    crews = [[make_generator(name, task, options) for name in options.generator] for task in tasks]
+    out = options.out or Path("runs/evaluate") / f"{'+'.join(options.generator)}-{options.stream}.json"
+    table: dict[str, list[DgrReport]] = {}
+    started = time.monotonic()
+    for task, generators in zip(tasks, crews, strict=True):
         measured = {g.name: _attempts(task, g, options) for g in generators}
         reports = [_report(task, name, attempts) for name, attempts in measured.items()]
         print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")
@@ -55,10 +63,17 @@ def run(options: argparse.Namespace) -> int:
             print(line)
         for report in reports:
             print(report.table())
-        if options.out is not None:
-            path = options.out if len(tasks) == 1 else options.out.with_stem(f"{options.out.stem}-{task.name}")
-            _write(path, task, reports, gains, measured)
-            print(f"written to {path}")
+        path = out if len(tasks) == 1 else out.with_stem(f"{out.stem}-{task.name}")
+        _write(path, task, reports, gains, measured)
+        print(f"written to {path}")
+        table[task.name] = reports
+    if len(tasks) > 1:
+        minutes = (time.monotonic() - started) / 60
+        print(f"\n{task_table(table)}\ntook {minutes:.1f} minutes")
+        _write_json(
+            out, {"minutes": round(minutes, 1), "tasks": {n: [r.to_dict() for r in rs] for n, rs in table.items()}}
+        )
+        print(f"written to {out}")
     return 0
 
 
@@ -136,9 +151,6 @@ def _write(
     path: Path, task: Task, reports: list[DgrReport], gains: dict[str, Any], measured: dict[str, list[Attempt]]
 ) -> None:
     data = {
-        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
-        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
-        "versions": package_versions(),
         "task": task.name,
         "reports": [report.to_dict() for report in reports],
         "gains": {name: value for name, value in gains.items() if name != "text"},
@@ -150,5 +162,14 @@ def _write(
             name: [a.failure if not a.success else "success" for a in attempts] for name, attempts in measured.items()
         },
     }
+    _write_json(path, data)
+
+
+def _write_json(path: Path, data: dict[str, Any]) -> None:
+    about = {
+        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
+        "date": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "versions": package_versions(),
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, json.dumps(data, indent=1).encode() + b"\n")
+    atomic_write(path, json.dumps(about | data, indent=1).encode() + b"\n")

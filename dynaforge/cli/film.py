@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.demos import Attempt, Episode
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators import Generator, ResidualGenerator
+from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator
 from dynaforge.reports import Clip, encode_mp4
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -47,6 +48,32 @@ def film(
     finally:
         env.world.listeners.remove(draw)
     return episode, frames
+
+
+def skill_picture(task: Task, conditions: Iterable[Condition]) -> Frame:
+    """Draw the moment at which the planner alone ends the last phase that a residual would correct.
+
+    Of the conditions, the first that the planner wins is shown; the last of them, if it wins none.
+    """
+    last = max(k for k, phase in enumerate(task.phases) if phase.gate)
+    env = ResidualEnv(task, render_mode="rgb_array")
+    shown: Frame | None = None
+
+    def draw(step: Any) -> None:
+        nonlocal shown
+        if step.planned.phase == last or shown is None:
+            shown = env.render()
+
+    env.world.listeners.append(draw)
+    try:
+        for condition in conditions:
+            shown = None
+            if PlannerOnly().attempt(env, condition).success:
+                break
+    finally:
+        env.close()
+    assert shown is not None
+    return shown
 
 
 def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int = 2) -> list[Clip]:

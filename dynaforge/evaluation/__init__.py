@@ -1,6 +1,6 @@
 """Success rates and what can be said about them: DGR, paired statistics, the competence frontier."""
 
-from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain
+from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain, task_table
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, frontier_of_outcomes, trailing_mean
 from dynaforge.evaluation.statistics import (
     BinComparison,
@@ -33,6 +33,7 @@ __all__ = [
     "mcnemar_exact",
     "no_bin_lost",
     "paired_difference",
+    "task_table",
     "trailing_mean",
     "wilson_bounds",
     "wilson_interval",

@@ -197,6 +197,28 @@ def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference |
     return text if paired is None else f"{text}\n{describe_gain(paired)}"
 
 
+def task_table(reports: Mapping[str, Sequence[DgrReport]], *, width: int = 120) -> str:
+    """Return the rates of generators over tasks as plain text, and their means over the tasks at the end.
+
+    Args:
+        reports: Task name to one report a generator, the same generators in the same order for every task.
+    """
+    grid = Table()
+    for name in ("task", "generator", "n", "success", "std", "95 %", "by difficulty, easy to hard, %"):
+        grid.add_column(name, justify="left" if name in ("task", "generator") else "right")
+    for task, measured in reports.items():
+        for report in measured:
+            bins = " ".join(f"{100 * b.rate:3.0f}" if b.n else "  -" for b in report.bins)
+            rate, interval = _cells(report.total)
+            spread = "-" if math.isnan(report.std) else f"{report.std:.1%}"
+            grid.add_row(task, report.label, str(report.n), rate, spread, interval, bins)
+    grid.add_section()
+    for measured in zip(*reports.values(), strict=True):
+        average = mean(report.mean for report in measured)
+        grid.add_row("mean", measured[0].label, str(sum(r.n for r in measured)), f"{average:.1%}", "", "", "")
+    return _render(grid, width)
+
+
 def describe_gain(paired: PairedDifference) -> str:
     """Say in one line what a paired comparison found."""
     low, high = paired.interval

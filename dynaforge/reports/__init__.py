@@ -2,7 +2,7 @@
 
 from dynaforge.reports.html import Clip, ReportData, ReportFigure, render_report, write_report
 from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, stratum_heatmap
-from dynaforge.reports.video import contact_sheet, encode_gif, encode_mp4
+from dynaforge.reports.video import contact_sheet, encode_gif, encode_mp4, encode_png
 
 __all__ = [
     "Clip",
@@ -12,6 +12,7 @@ __all__ = [
     "dgr_by_difficulty",
     "encode_gif",
     "encode_mp4",
+    "encode_png",
     "failure_bars",
     "learning_curve",
     "render_report",

@@ -90,6 +90,13 @@ def contact_sheet(
     return buffer.getvalue()
 
 
+def encode_png(frame: Frames) -> bytes:
+    """Encode one image (H, W, 3) uint8 as PNG."""
+    buffer = io.BytesIO()
+    load_extra("PIL.Image").fromarray(frame).save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()
+
+
 def _fitted(text: str, pen: object, font: object, width: int) -> str:
     if pen.textlength(text, font=font) <= width:  # type: ignore[attr-defined]
         return text

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from itertools import combinations, groupby
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,11 +29,13 @@ class Watch:
         env.world.listeners.append(self)
 
     def __call__(self, step: ControlStep) -> None:
-        bodies, robot, table = self.scene.body_ids, self.scene.robot_id, self.scene.table_id
+        fixtures = {name: fixture.body for name, fixture in self.scene.fixtures.items()}
+        ids = {"hand": self.scene.robot_id, "table": self.scene.table_id, **fixtures, **self.scene.body_ids}
         pairs = {
-            f"{a}-{name}": (other, i) for name, i in bodies.items() for a, other in (("hand", robot), ("table", table))
+            f"{a}-{b}": (ids[a], ids[b])
+            for a, b in combinations(ids, 2)
+            if not {a, b} <= {"table", *fixtures}  # bolted to each other
         }
-        pairs["hand-table"] = (robot, table)
         self.steps.append(step)
         self.depths.append({name: self._depth(*pair) for name, pair in pairs.items()})
 
@@ -54,9 +57,18 @@ def watched(task: str, scale: float, n: int) -> list[Watch]:
     return watches
 
 
-@pytest.fixture(scope="module", params=[(name, scale) for name in ENV_NAMES for scale in (0.0, 1.0)], ids=str)
+def cases(n: int, **options: Any) -> list[Any]:
+    """List n episodes of every task, by the planner alone and under random residuals at full scale."""
+    return [
+        pytest.param((name, scale, n), id=f"{name}-{scale:g}-{n}", **options)
+        for name in ENV_NAMES
+        for scale in (0.0, 1.0)
+    ]
+
+
+@pytest.fixture(scope="module", params=[*cases(4), *cases(48, marks=pytest.mark.slow)])
 def episodes(request: pytest.FixtureRequest) -> list[Watch]:
-    return watched(*request.param, n=24)
+    return watched(*request.param)
 
 
 def test_nothing_stays_inside_anything_else(episodes: list[Watch]) -> None:
@@ -72,8 +84,8 @@ def test_nothing_jumps(episodes: list[Watch]) -> None:
     """Between two control steps a body moves no further than the greatest of its speeds allows."""
     for watch in episodes:
         for step in watch.steps:
-            for name, after in step.after.objects.items():
-                before = step.before.objects[name]
+            for name in watch.scene.body_ids:
+                before, after = step.before.objects[name], step.after.objects[name]
                 way = np.linalg.norm(after.pose.position - before.pose.position)
                 speed = max(np.linalg.norm(before.velocity), np.linalg.norm(after.velocity))
                 near = min(
@@ -83,21 +95,27 @@ def test_nothing_jumps(episodes: list[Watch]) -> None:
                 assert way <= (speed + struck) * watch.scene.spec.control_dt + 0.005
 
 
-def test_no_object_is_faster_than_launch_and_hand_can_make_it(episodes: list[Watch]) -> None:
+def test_no_object_is_faster_than_launch_fall_and_hand_can_make_it(episodes: list[Watch]) -> None:
     for watch in episodes:
-        for name, launched in watch.steps[0].before.objects.items():
-            fastest = max(float(np.linalg.norm(step.after.objects[name].velocity)) for step in watch.steps)
-            assert fastest <= np.linalg.norm(launched.velocity) + PUSHED
+        for name in watch.scene.body_ids:
+            bodies = [step.after.objects[name] for step in watch.steps]
+            launched = watch.steps[0].before.objects[name]
+            top = launched.pose.position[2]
+            for body in bodies:
+                top = max(top, body.pose.position[2])  # what the hand has lifted may fall
+                fallen = np.sqrt(2 * 9.81 * max(0.0, top - body.pose.position[2]))
+                assert np.linalg.norm(body.velocity) <= np.linalg.norm(launched.velocity) + PUSHED + fallen
 
 
 def test_only_the_hand_gives_an_object_speed_on_the_table(episodes: list[Watch]) -> None:
     alone = 0
     for step in (step for watch in episodes for step in watch.steps):
-        for name, after in step.after.objects.items():
-            before = step.before.objects[name]
+        for name in step.before.on_table:
+            before, after = step.before.objects[name], step.after.objects[name]
             hand = (step.before.ee.position, step.after.ee.position)
             away = min(np.linalg.norm(place - after.pose.position) for place in hand) > FAR
             if away and step.before.on_table[name] and step.after.on_table[name]:
                 alone += 1
                 assert np.linalg.norm(after.velocity) <= np.linalg.norm(before.velocity) + 1e-4
-    assert alone > 300
+    rolling = [s for s in (watch.steps[0].before for watch in episodes) if any(s.on_table.values())]
+    assert alone >= 10 * len(rolling)
