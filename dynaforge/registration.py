@@ -20,7 +20,19 @@ def env_id(task: str) -> str:
 
 
 def register_envs() -> None:
-    """Register `DynaForge/<Task>-v0` and `DynaForge/<Task>Task-v0`."""
-    for task, name in ENV_NAMES.items():
-        register(f"DynaForge/{name}-v0", "dynaforge.envs.residual_env:ResidualEnv", kwargs={"task": task})
-        register(f"DynaForge/{name}Task-v0", "dynaforge.envs.task_env:TaskEnv", kwargs={"task": task})
+    """Register `DynaForge/<Task>-v0` and `DynaForge/<Task>Task-v0` of every task of the package."""
+    for task in tuple(ENV_NAMES):
+        register_task(task, ENV_NAMES[task], task)
+
+
+def register_task(name: str, env_name: str, source: str) -> None:
+    """Register the two envs of one task.
+
+    Args:
+        name: Lower-case name of the task.
+        env_name: Its name in env ids.
+        source: What the envs are made from: the name of a task of the package, or the path of a task file.
+    """
+    ENV_NAMES[name] = env_name
+    register(f"DynaForge/{env_name}-v0", "dynaforge.envs.residual_env:ResidualEnv", kwargs={"task": source})
+    register(f"DynaForge/{env_name}Task-v0", "dynaforge.envs.task_env:TaskEnv", kwargs={"task": source})

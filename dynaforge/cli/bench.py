@@ -44,7 +44,7 @@ MEASUREMENTS: dict[str, Measurement] = {
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `bench`."""
-    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}")
+    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
     parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(MEASUREMENTS)}")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
     parser.add_argument(

@@ -14,7 +14,7 @@ from dynaforge.tasks import TASK_NAMES, Task, get_task
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `list` or `describe`."""
     if command == "describe":
-        parser.add_argument("task", help=f"one of {', '.join(TASK_NAMES)}, or all")
+        parser.add_argument("task", help=f"one of {', '.join(TASK_NAMES)}; all; a task file")
         parser.add_argument(
             "--out", type=Path, help="folder for the page and a picture of the skill; with all, a contact sheet too"
         )

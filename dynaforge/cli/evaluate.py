@@ -28,7 +28,7 @@ BINS = 8
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `evaluate`."""
-    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}, or all")
+    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
     parser.add_argument("--generator", nargs="+", default=["planner_only"], help=f"of {', '.join(GENERATORS)}")
     parser.add_argument("--policy", type=Path, help="policy file, for the generator residual; default: the shipped one")
     parser.add_argument("--stream", default="val", choices=STREAMS, help="choose on val, report on test")

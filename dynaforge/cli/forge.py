@@ -43,7 +43,7 @@ MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `forge`."""
-    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}")
+    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
     parser.add_argument(
         "--budget", type=minutes, default="13m", help="wall time for everything: 90s, 10m, 1.5h, or minutes"
     )

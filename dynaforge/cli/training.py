@@ -22,6 +22,7 @@ from dynaforge.registration import env_id
 from dynaforge.tasks import Task
 
 BARS = "▁▂▃▄▅▆▇█"
+LIKE = "DynaForge/Can-v0"  # whose settings a task that is not listed takes
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
 
 
@@ -35,9 +36,9 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
     if not path.is_file():
         raise ValueError(f"No zoo_configs/{algo}.yml for algorithm {algo!r}.")
     listed = yaml.safe_load(path.read_text(encoding="utf-8"))
-    entry = listed.get(env_id(task), listed.get("default"))
+    entry = listed.get(env_id(task), listed.get(LIKE))
     if entry is None:
-        raise ValueError(f"{path} lists no {env_id(task)!r}.")
+        raise ValueError(f"{path} lists neither {env_id(task)!r} nor {LIKE!r}, which stands in for tasks of your own.")
     return dict(entry)
 
 

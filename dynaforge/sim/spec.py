@@ -189,11 +189,15 @@ def check_urdf(path: Path) -> None:
 
 
 def asset_path(name: str) -> Path:
-    """Locate a file below `assets/`.
+    """Locate a file below `assets/`; an absolute path stands for itself.
 
     Raises:
         FileNotFoundError: No such asset.
     """
+    if Path(name).is_absolute():
+        if not Path(name).is_file():
+            raise FileNotFoundError(f"No file {name!r}.")
+        return Path(name)
     with as_file(files("dynaforge.assets").joinpath(name)) as path:
         if not path.is_file():
             raise FileNotFoundError(f"No asset {name!r} in {path.parent}.")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from importlib import import_module
+from pathlib import Path
 
-from dynaforge.registration import ENV_NAMES
+from dynaforge.registration import ENV_NAMES, register_task
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
@@ -16,14 +18,35 @@ TASK_NAMES = tuple(ENV_NAMES)
 
 
 def get_task(name: str) -> Task:
-    """Return the task of that name.
+    """Return the task of that name, or the `TASK` of a file such as "ball.py".
+
+    A task file is imported as a module of its own name, so that workers find it too, and its envs are registered.
 
     Raises:
-        ValueError: No such task; a close match is named.
+        ValueError: No such task; a close match is named. Or the file holds none, or its name is taken.
     """
+    if name.endswith(".py"):
+        return _task_of_file(Path(name).resolve())
     if name not in TASK_NAMES:
         close = difflib.get_close_matches(name, TASK_NAMES, n=1)
         hint = f"Did you mean {close[0]!r}?" if close else f"Known are {', '.join(TASK_NAMES)}."
         raise ValueError(f"No task {name!r}. {hint}")
     task: Task = import_module(f"dynaforge.tasks.{name}").TASK
+    return task
+
+
+def _task_of_file(path: Path) -> Task:
+    if not path.is_file():
+        raise ValueError(f"No task file {str(path)!r}.")
+    if (known := sys.modules.get(path.stem)) is not None and getattr(known, "__file__", None) != str(path):
+        raise ValueError(f"{path.name}: a module {path.stem!r} exists already; give the file another name.")
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))
+    task = getattr(import_module(path.stem), "TASK", None)
+    if not isinstance(task, Task) or task.conditions.task != task.name:
+        raise ValueError(f"{path} must define TASK, a Task whose conditions belong to it (ConditionSpace.task).")
+    if task.name in TASK_NAMES:
+        raise ValueError(f"{path}: the name {task.name!r} is that of a task of the package; choose another.")
+    if task.name not in ENV_NAMES:
+        register_task(task.name, task.env_name, str(path))
     return task

@@ -1,0 +1,81 @@
+"""The pages do what they show."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+from dynaforge.cli.main import main
+from dynaforge.registration import ENV_NAMES
+from dynaforge.tasks import get_task
+
+PAGE = (Path(__file__).parents[1] / "docs" / "add_a_task.md").read_text()
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Hold the files that the page shows; forget the task they make afterwards."""
+    (tmp_path / "ball.urdf").write_text("\n".join(blocks("xml")))
+    (tmp_path / "ball.py").write_text("\n\n".join(blocks("python")))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    yield tmp_path
+    sys.modules.pop("ball", None)
+    ENV_NAMES.pop("ball", None)
+    for name in ("DynaForge/Ball-v0", "DynaForge/BallTask-v0"):
+        gymnasium.registry.pop(name, None)
+
+
+def test_the_page_on_adding_a_task_makes_one_that_works(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    commands = [line for block in blocks("console") for line in block.splitlines()]
+    assert len(commands) == 2
+    for line in commands:
+        program, *arguments = shlex.split(line)
+        assert program == "dynaforge"
+        assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "planner_only" in printed
+    assert (folder / "pages" / "ball.md").read_text().startswith("# Ball: grasp")
+    assert (folder / "pages" / "ball.png").stat().st_size > 10_000
+    assert (folder / "ball-planner.json").exists()
+    env = gymnasium.make("DynaForge/Ball-v0")
+    rewards = []
+    for k in range(4):
+        env.reset(options={"condition": env.unwrapped.condition_sampler.draw(_rng(k), 0, 8)})
+        done = False
+        while not done:
+            _, reward, done, _, _ = env.step(0.0 * env.action_space.sample())
+        rewards.append(reward)
+    env.close()
+    assert 1.0 in rewards, "the planner alone wins a slow ball"
+
+
+def _rng(seed: int):
+    import numpy as np
+
+    return np.random.default_rng(seed)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "No task file"),
+        ("TASK = 1", "must define TASK"),
+        ("from dynaforge.tasks.can import TASK", "is that of a task of the package"),
+    ],
+)
+def test_a_file_that_is_no_task_is_refused(folder: Path, text: str | None, message: str) -> None:
+    name = f"mine_{abs(hash(message))}.py"
+    if text is not None:
+        (folder / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
+        get_task(name)
