@@ -263,3 +263,30 @@ def test_a_real_success_holds_its_predicate_at_the_end() -> None:
     phases = [step.planned.phase for step in trace.steps]
     assert phases == sorted(phases)
     env.close()
+
+
+def test_a_reason_of_a_phase_counts_only_while_it_runs() -> None:
+    lost = (("slipped", Fallen("can", depth=-0.05)),)  # below 5 cm above the table
+    task = program(phase("touch", Touched("can")), phase("carry", Lifted("can", 0.3), fails=lost))
+    executor = start(task)
+    executor.advance(scene(), REFERENCE)
+    assert executor.outcome is None
+    executor.advance(scene(z=0.2, touching=(True, False)), REFERENCE)
+    executor.advance(scene(z=0.06), REFERENCE)
+    assert executor.outcome is None
+    executor.advance(scene(z=0.04), REFERENCE)
+    assert executor.outcome == Outcome(False, 1, "slipped", "carry")
+
+
+def test_the_object_in_the_hand_is_measured_where_a_phase_takes_hold() -> None:
+    task = program(
+        phase("grasp", Grasped("can"), takes_hold=True), phase("lift", Lifted("can", 0.1)), phase("keep", Fallen("can"))
+    )
+    executor = start(task)
+    assert executor._view(scene()).grasp is None
+    executor.advance(GRASPED, REFERENCE)
+    executor.advance(UP, REFERENCE)
+    assert executor.phase.name == "keep"
+    assert executor._view(UP).grasp is GRASPED
+    executor.reset(scene(), CONDITION, REFERENCE)
+    assert executor._view(scene()).grasp is None, "an episode does not inherit the grasp of the one before"

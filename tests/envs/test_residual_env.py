@@ -236,3 +236,14 @@ def test_a_failed_plan_leaves_no_observation_of_the_episode_before() -> None:
 def test_a_wrong_choice_is_named_at_the_door(kwargs: dict[str, str], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ResidualEnv(**kwargs)
+
+
+def test_a_phase_may_take_a_share_of_the_residual() -> None:
+    phases = tuple(replace(phase, residual_share=0.25) for phase in TASK.phases)
+    env = Traced(ResidualEnv(replace(TASK, phases=phases)))
+    env.reset(options={"condition": condition(4)})
+    heading = env.unwrapped.executor.frame.rotation[:, 0]
+    env.step(np.array((1, 0, 0, 0, 0), np.float32))
+    first = env.trace.steps[-TASK.residual.decision_steps]
+    np.testing.assert_allclose(first.residual[:3], 0.25 * TASK.residual.translation[0] * heading, atol=1e-12)
+    env.close()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from dynaforge.geometry import Pose
+from dynaforge.geometry import Array, Pose
 from dynaforge.sim import BodyState, SceneState
-from dynaforge.tasks.targets import DOWN_ALONG_X
+from dynaforge.tasks.targets import DOWN_ALONG_X, DOWN_ALONG_Y
 from dynaforge.tasks.view import PhaseView, heading_frames
 
 Point = tuple[float, float, float]
@@ -34,9 +36,44 @@ def scene(
     )
 
 
+def body(
+    position: Point,
+    rotation: Array | None = None,
+    velocity: Point = (0.0, 0.0, 0.0),
+    angular_velocity: Point = (0.0, 0.0, 0.0),
+) -> BodyState:
+    """A body at a place, upright unless a rotation is given."""
+    pose = Pose(np.eye(3) if rotation is None else rotation, np.array(position))
+    return BodyState(pose, np.array(velocity), np.array(angular_velocity))
+
+
+def things(
+    *,
+    ee: Pose | None = None,
+    width: float = 0.08,
+    touching: Mapping[str, tuple[bool, bool]] | None = None,
+    on_table: Mapping[str, bool] | None = None,
+    pressed: Mapping[str, float] | None = None,
+    **objects: BodyState,
+) -> SceneState:
+    """A scene with any bodies and fixtures; whatever is not said touches nothing."""
+    return SceneState(
+        time=0.0,
+        q=np.zeros(7),
+        dq=np.zeros(7),
+        ee=ee or Pose(DOWN_ALONG_Y, np.array((0.5, 0.0, 0.3))),
+        width=width,
+        objects=objects,
+        touching=dict.fromkeys(objects, (False, False)) | dict(touching or {}),
+        on_table=dict.fromkeys(objects, False) | dict(on_table or {}),
+        pressed=dict(pressed or {}),
+    )
+
+
 def view(
-    state: SceneState, *, entry: SceneState | None = None, start: SceneState | None = None, lead_time: float = 0.0
-) -> PhaseView:
+    state: SceneState, *, entry: SceneState | None = None, start: SceneState | None = None,
+    grasp: SceneState | None = None, lead_time: float = 0.0,
+) -> PhaseView:  # fmt: skip
     """Look at a scene from a phase entered at `entry` of an episode begun at `start`, both by default this scene."""
     entry, start = entry or state, start or state
-    return PhaseView(state, entry, start, heading_frames(state, None), heading_frames(entry, None), lead_time=lead_time)
+    return PhaseView(state, entry, start, heading_frames(state, None), heading_frames(entry, None), grasp, lead_time)

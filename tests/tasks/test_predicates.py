@@ -3,10 +3,29 @@ from __future__ import annotations
 import math
 
 import pytest
-from hand_made import scene, view
+from hand_made import body, scene, things, view
 
-from dynaforge.geometry import Pose
-from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
+from dynaforge.geometry import Pose, matrix_from_rotvec
+from dynaforge.tasks.predicates import (
+    Aligned,
+    All,
+    Around,
+    AtRestOn,
+    Clicked,
+    Departed,
+    Fallen,
+    Grasped,
+    Lifted,
+    Narrowed,
+    Near,
+    Not,
+    OnTable,
+    Reached,
+    Released,
+    Touched,
+    Upright,
+    Within,
+)
 
 NOWHERE = Pose.identity()
 
@@ -91,3 +110,85 @@ def test_predicates_answer_with_plain_booleans() -> None:
     words = (Reached(0.1), Near("can", 0.1), Aligned("can", 0.1), Aligned("can", 0.1, math.pi), Touched("can"))
     for predicate in (*words, Grasped("can"), Lifted("can", 0.1), Fallen("can"), Departed("can", 0.7), All(words)):
         assert type(predicate(seen, NOWHERE)) is bool, predicate
+
+
+def test_not_is_the_opposite() -> None:
+    seen = view(scene(touching=(True, False)))
+    assert Not(Grasped("can"))(seen, NOWHERE)
+    assert not Not(Touched("can"))(seen, NOWHERE)
+
+
+def test_around_measures_in_space() -> None:
+    seen = view(scene((0.5, 0.0, 0.033), hand=(0.52, 0.02, 0.043)))  # 2-2-1: 30 mm
+    assert Around("can", 0.0301)(seen, NOWHERE)
+    assert not Around("can", 0.0299)(seen, NOWHERE)
+
+
+@pytest.mark.parametrize(
+    ("hand", "holds"), [((0.52, 0.005, 0.2), True), ((0.5, 0.015, 0.2), False), ((0.535, 0.0, 0.2), False)]
+)
+def test_aligned_may_ask_for_less_across_the_heading(hand: tuple[float, float, float], holds: bool) -> None:
+    """The can rolls along y: 30 mm of its axis along x are allowed, 10 mm along its way."""
+    seen = view(scene(velocity=(0.0, 0.3, 0.0), hand=hand))
+    assert Aligned("can", 0.01, 0.03)(seen, NOWHERE) is holds
+
+
+@pytest.mark.parametrize("left", [False, True])
+@pytest.mark.parametrize("right", [False, True])
+def test_released_is_touched_by_none(left: bool, right: bool) -> None:
+    assert Released("can")(view(scene(touching=(left, right))), NOWHERE) is not (left or right)
+
+
+def test_narrowed_reads_the_measured_opening() -> None:
+    assert Narrowed(0.05)(view(things(width=0.049)), NOWHERE)
+    assert not Narrowed(0.05)(view(things(width=0.051)), NOWHERE)
+
+
+@pytest.mark.parametrize(
+    ("tip", "holds"),
+    [((0.6, 0.2, 0.01), True), ((0.609, 0.2, 0.01), True), ((0.611, 0.2, 0.01), False), ((0.6, 0.2, 0.03), False)],
+)
+def test_within_looks_at_the_tool_point_and_not_at_the_origin(tip: tuple[float, float, float], holds: bool) -> None:
+    """A pen that leans by 30 degrees, its tip 70 mm down its own axis."""
+    lean = matrix_from_rotvec((0.0, math.pi / 6, 0.0))
+    origin = tuple(tip + lean @ (0.0, 0.0, 0.07))
+    seen = view(things(pen=body(origin, lean), cup=body((0.6, 0.2, 0.0))))
+    assert Within("pen", "cup", 0.010, 0.02, tool=(0.0, 0.0, -0.07))(seen, NOWHERE) is holds
+
+
+@pytest.mark.parametrize(("tilt", "holds"), [(0.15, True), (0.25, False), (math.pi - 0.1, True), (math.pi / 2, False)])
+def test_upright_counts_either_way_up(tilt: float, holds: bool) -> None:
+    seen = view(things(cube=body((0.5, 0.0, 0.1), matrix_from_rotvec((tilt, 0.0, 0.0)))))
+    assert Upright("cube", 0.2)(seen, NOWHERE) is holds
+
+
+def test_at_rest_on_a_turning_thing_means_to_turn_with_it() -> None:
+    """10 cm beside the axis of a table that turns at 2 rad/s and moves on at 0.1 m/s: 0.2 m/s along y on top."""
+    table = body((0.5, 0.0, 0.0), velocity=(0.1, 0.0, 0.0), angular_velocity=(0.0, 0.0, 2.0))
+    along = view(things(cup=table, ball=body((0.6, 0.0, 0.03), velocity=(0.1, 0.2, 0.0))))
+    still = view(things(cup=table, ball=body((0.6, 0.0, 0.03))))
+    assert AtRestOn("ball", "cup", 0.01)(along, NOWHERE)
+    assert not AtRestOn("ball", "cup", 0.05)(still, NOWHERE)
+
+
+@pytest.mark.parametrize(
+    ("change", "holds"),
+    [
+        ({}, True),
+        ({"touching": {"clock": (False, False)}}, False),  # pressed by something else
+        ({"pressed": {"clock": 0.004}}, False),  # not far enough
+        ({"width": 0.02}, False),  # with open fingers
+        ({"clock": body((0.51, 0.0, 0.1))}, False),  # 10 mm off centre
+    ],
+)
+def test_clicked_takes_a_closed_fingertip_on_the_middle_of_the_button(change: dict[str, object], holds: bool) -> None:
+    usual = {
+        "clock": body((0.505, 0.0, 0.1)), "width": 0.0,
+        "touching": {"clock": (True, False)}, "pressed": {"clock": 0.006},
+    }  # fmt: skip
+    assert Clicked("clock", 0.005, 0.008)(view(things(**(usual | change))), NOWHERE) is holds
+
+
+def test_on_table_is_a_contact() -> None:
+    assert OnTable("can")(view(scene()), NOWHERE)
+    assert not OnTable("can")(view(scene((0.5, 0.0, 0.2))), NOWHERE)
