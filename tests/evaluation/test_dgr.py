@@ -5,7 +5,7 @@ import json
 import pytest
 
 from dynaforge.demos import Attempt
-from dynaforge.evaluation import Count, DgrReport, Trial, comparison_table, paired_difference
+from dynaforge.evaluation import Count, DgrReport, Trial, comparison_table, paired_difference, task_table
 from dynaforge.sim import Condition
 
 
@@ -68,3 +68,12 @@ def test_tables_show_rates_intervals_and_gain():
 def test_no_attempts_make_no_report():
     with pytest.raises(ValueError, match="needs attempts"):
         DgrReport.from_attempts([], difficulty_range=(0.0, 1.0))
+
+
+def test_the_table_over_tasks_ends_with_the_mean_of_the_tasks() -> None:
+    """Half of one task and all of another: three quarters, however many attempts each had."""
+    half = DgrReport.from_attempts([Trial(True, 0.1), Trial(False, 0.9, "slipped")], difficulty_range=(0, 1), label="p")
+    full = DgrReport.from_attempts([Trial(True, 0.1)] * 6, difficulty_range=(0, 1), label="p")
+    *_, last = [line for line in task_table({"can": [half], "peg": [full]}).splitlines() if "mean" in line]
+    assert "75.0%" in last
+    assert " 8 " in last
