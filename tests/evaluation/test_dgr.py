@@ -72,8 +72,8 @@ def test_no_attempts_make_no_report():
 
 def test_the_table_over_tasks_ends_with_the_mean_of_the_tasks() -> None:
     """Half of one task and all of another: three quarters, however many attempts each had."""
-    half = DgrReport.from_attempts([Trial(True, 0.1), Trial(False, 0.9, "slipped")], difficulty_range=(0, 1), label="p")
-    full = DgrReport.from_attempts([Trial(True, 0.1)] * 6, difficulty_range=(0, 1), label="p")
+    half = DgrReport.from_attempts([Trial(0.1, True), Trial(0.9, False, "slipped")], difficulty_range=(0, 1), label="p")
+    full = DgrReport.from_attempts([Trial(0.1, True)] * 6, difficulty_range=(0, 1), label="p")
     *_, last = [line for line in task_table({"can": [half], "peg": [full]}).splitlines() if "mean" in line]
     assert "75.0%" in last
     assert " 8 " in last
