@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -26,6 +27,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     A user's mistake ends in one line on stderr and status 2, before any long work.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    # Read when numpy and torch are first imported, below. The cores belong to the workers: on networks as small as
+    # these, a second thread only takes a core away from them.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     if arguments and arguments[0] in ZOO:
         from dynaforge.cli.zoo import main as zoo
 
