@@ -1,0 +1,153 @@
+"""Pen: take a pen from a rack and put it into a moving holder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from dynaforge.geometry import Pose
+from dynaforge.sim import Condition
+from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
+from dynaforge.tasks.carriers import DRIVEN, carrier
+from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.predicates import (
+    All,
+    Around,
+    Fallen,
+    Grasped,
+    Lifted,
+    Not,
+    OnTable,
+    Reached,
+    Released,
+    Upright,
+    Within,
+)
+from dynaforge.tasks.targets import Above, Grip, Over, Raised
+from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+
+LENGTH = 0.14
+TIP = (0.0, 0.0, -LENGTH / 2)
+RACK_FLOOR = 0.006  # the pen's tip stands so high above the table, metres
+DEPTH = 0.08  # of the holder; its frame is the middle of its floor
+HOLDERS = ("pen/holder_14.urdf", "pen/holder_16.urdf", "pen/holder_18.urdf", "pen/holder_20.urdf")
+ARM, SWING = 0.08, 0.08  # of the holder's carrier, metres
+GRIP = 0.042  # of the hand above the middle of the pen, metres: the palm keeps clear of its end
+
+CONDITIONS = ConditionSpace(
+    task="pen",
+    difficulty="speed",
+    ranges={
+        # Peak speed of the holder: near static up to that of a brisk conveyor.
+        "speed": (0.02, 0.3),
+        # Below zero it slides to and fro, else it turns.
+        "motion": (-1.0, 1.0),
+        "phase": (-math.pi, math.pi),
+        "yaw": (-math.pi / 2, math.pi / 2),
+        # Which of the four holders: 14, 16, 18, 20 mm inner radius.
+        "holder": (0.0, 4.0),
+        # The rack stands to the right or to the left by its sign, the holder on the other side.
+        "side": (-1.0, 1.0),
+        # The middle of the reach, apart from the holder by its swing and a hand's breadth.
+        "rack_x": (0.42, 0.52),
+        "rack_y": (0.12, 0.17),
+        "holder_x": (0.43, 0.48),
+        "holder_y": (0.10, 0.14),
+        # A plastic to a metal pen, kg.
+        "mass": (0.03, 0.06),
+    },
+)
+
+
+def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
+    """Stand the pen in its rack and set the holder going."""
+    v = condition.values
+    side = math.copysign(1.0, v["side"])
+    rack = np.array((v["rack_x"], -side * v["rack_y"], 0.0))
+    holder = carrier(
+        np.array((v["holder_x"], side * v["holder_y"], 0.0)), math.copysign(v["speed"], v["motion"]),
+        yaw=v["yaw"], phase=v["phase"], arm=ARM, swing=SWING,
+    )  # fmt: skip
+    still = np.zeros(3)
+    return {
+        "pen": Launch(Pose(np.eye(3), rack + (0.0, 0.0, RACK_FLOOR + LENGTH / 2)), still, still, v["mass"]),
+        "rack": Placement(Pose(np.eye(3), rack)),
+        "holder": replace(holder, variant=min(int(v["holder"]), len(HOLDERS) - 1)),
+    }
+
+
+# The wall keeps a tip so deep inside the holder; a pen that lies below the holder is not upright.
+INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, TIP), Upright("pen", 0.5)))
+IN_HAND = (
+    ("slipped", Not(Around("pen", GRIP + 0.02))),
+    ("slipped", Not(Upright("pen", 0.5))),
+    ("pushed back", Around("pen", GRIP - 0.025)),  # by the rim, into the hand
+)
+HOVER, ENTERED, INSERTED = DEPTH + 0.015, DEPTH - 0.02, 0.25 * DEPTH  # of the tip above the holder's floor, metres
+
+TASK = Task(
+    name="pen",
+    env_name="Pen",
+    skill="insert",
+    motion="A pen holder slides to and fro or turns at a peak speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
+    randomisation="The holder's speed, kind of motion, phase, direction, place, width; the rack's place; the mass.",
+    goal="The pen's tip is at 60 % of the holder's depth or more and the pen released, for 0.25 s.",
+    scene=SceneSpec(
+        bodies=(BodySpec("pen", "pen/pen.urdf", lateral_friction=0.4),),
+        fixtures=(
+            FixtureSpec("rack", "pen/rack.urdf", "rack"),
+            FixtureSpec("holder", HOLDERS, "holder", DRIVEN, lateral_friction=0.4),
+        ),
+        launch=launch,
+        physics_dt=1 / 480,  # at 1/240 s a hand that misses pushes the light pen 9 mm into the rim, at this 1.5 mm
+    ),
+    conditions=CONDITIONS,
+    phases=(
+        Phase(
+            "reach", Mode.GLOBAL, Above("pen", GRIP + 0.05, Grip.KEPT), width=0.04,
+            done=Reached(0.015), timeout=2.0, failure="not reached",
+        ),
+        Phase(
+            "descend", Mode.IK, Above("pen", GRIP, Grip.KEPT), width=0.04,
+            done=Reached(0.006), timeout=1.0, failure="not reached",
+        ),
+        Phase(
+            "close", Mode.IK, Above("pen", GRIP, Grip.KEPT), width=0.0,
+            done=Grasped("pen"), hold=0.1, timeout=0.8, failure="missed close",
+        ),
+        Phase(
+            "lift", Mode.GLOBAL, Raised("pen", 0.12), width=0.0, takes_hold=True,
+            done=All((Lifted("pen", 0.10), Grasped("pen"))), timeout=1.5, failure="slipped",
+        ),
+        # The fingers centre themselves slowly, so the pen in the hand is measured anew before every step closer.
+        Phase(
+            "carry", Mode.GLOBAL, Over("holder", "pen", HOVER, TIP, upright=True), width=0.0, takes_hold=True,
+            done=Reached(0.02), timeout=2.0, failure="not carried", fails=IN_HAND,
+        ),
+        Phase(
+            "align", Mode.IK, Over("holder", "pen", HOVER, TIP, upright=True), width=0.0, gate=True, takes_hold=True,
+            done=Within("pen", "holder", 0.012, HOVER + 0.012, TIP), hold=1 / 15, timeout=1.5, failure="lost holder",
+            fails=IN_HAND,
+        ),
+        Phase(
+            "enter", Mode.IK, Over("holder", "pen", ENTERED, TIP, upright=True), width=0.0, gate=True,
+            done=Within("pen", "holder", 0.02, DEPTH - 0.01, TIP), timeout=0.8, failure="missed holder", fails=IN_HAND,
+        ),
+        Phase(
+            "insert", Mode.IK, Over("holder", "pen", INSERTED, TIP, upright=True), width=0.0, gate=True,
+            done=INSIDE, timeout=0.8, failure="jammed", fails=IN_HAND,
+        ),
+        Phase(
+            "release", Mode.IK, Over("holder", "pen", INSERTED, TIP, upright=True), width=0.08, gate=True,
+            done=All((INSIDE, Released("pen"))), hold=0.25, timeout=1.2, failure="not released",
+        ),
+    ),
+    impossible=(("dropped", Fallen("pen")), ("dropped", OnTable("pen"))),
+    # Along the holder's way: the hand trails it by 12 mm at 0.3 m/s, and by as much again while it goes down. Turning
+    # the pen about its axis changes nothing.
+    residual=ResidualSpec(translation=(0.03, 0.02, 0.02), rotation=(0.1, 0.1, 0.0), width=0.0),
+    camera=((1.15, -0.3, 0.6), (0.4, 0.0, 0.12)),
+)  # fmt: skip
