@@ -113,7 +113,7 @@ class Task:
     phases: tuple[Phase, ...]
     impossible: tuple[tuple[str, Predicate], ...]
     residual: ResidualSpec = field(default_factory=ResidualSpec)
-    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.5, -0.35, 0.85), (0.32, 0.0, 0.2))
+    camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.2, -0.4, 0.62), (0.4, -0.02, 0.14))
 
     @property
     def manipulated(self) -> str:

@@ -44,14 +44,14 @@ def test_a_condition_of_the_task_survives_pickling(task: Task) -> None:
 
 
 def test_the_phase_program_is_complete(task: Task) -> None:
-    bodies = {body.name for body in task.scene.bodies}
+    objects = {thing.name for thing in (*task.scene.bodies, *task.scene.fixtures)}
     names = [phase.name for phase in task.phases]
     assert len(set(names)) == len(names) == task.n_checkpoints
     for phase in task.phases:
         assert phase.timeout > phase.hold
         assert phase.failure
         assert 0.0 <= phase.width <= 0.08
-        assert phase.target.object in bodies
+        assert phase.target.object in objects
     assert task.time_limit == pytest.approx(sum(phase.timeout for phase in task.phases))
 
 
@@ -64,7 +64,8 @@ def test_the_residual_acts_only_where_ik_tracks(task: Task) -> None:
 
 
 def test_success_is_held_for_a_quarter_of_a_second(task: Task) -> None:
-    assert task.phases[-1].hold >= 0.25
+    """A click is over when it is done; everything else must last."""
+    assert task.phases[-1].hold >= 0.25 or task.skill == "click"
 
 
 def test_a_control_step_is_a_whole_number_of_substeps(task: Task) -> None:
