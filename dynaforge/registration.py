@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import register
 
-ENV_NAMES = {"can": "Can"}
+ENV_NAMES = {
+    "can": "Can",
+    "bottle": "Bottle",
+    "toycar": "ToyCar",
+    "lemon": "Lemon",
+    "alarmclock": "AlarmClock",
+    "peach": "Peach",
+    "block": "Block",
+    "pen": "Pen",
+    "peg": "Peg",
+}
 """Task name to its name in env ids."""
 
 

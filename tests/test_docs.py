@@ -10,11 +10,13 @@ from pathlib import Path
 import gymnasium
 import pytest
 
+from dynaforge.cli.describe import page_with_picture
 from dynaforge.cli.main import main
 from dynaforge.registration import ENV_NAMES
-from dynaforge.tasks import get_task
+from dynaforge.tasks import TASK_NAMES, get_task
 
-PAGE = (Path(__file__).parents[1] / "docs" / "add_a_task.md").read_text()
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = (DOCS / "add_a_task.md").read_text()
 
 
 def blocks(language: str) -> list[str]:
@@ -79,3 +81,11 @@ def test_a_file_that_is_no_task_is_refused(folder: Path, text: str | None, messa
         (folder / name).write_text(text)
     with pytest.raises(ValueError, match=message):
         get_task(name)
+
+
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_the_page_of_a_task_is_what_its_data_says(name: str) -> None:
+    """After a change: `dynaforge describe all --out docs/tasks`."""
+    page = (DOCS / "tasks" / f"{name}.md").read_text()
+    assert page == page_with_picture(get_task(name))
+    assert (DOCS / "tasks" / f"{name}.png").is_file()

@@ -58,6 +58,12 @@ def description(task: Task) -> str:
     return "\n".join(lines)
 
 
+def page_with_picture(task: Task) -> str:
+    """Return the page as a file: the picture, which lies beside it, below the headline."""
+    head, _, rest = description(task).partition("\n")
+    return f"{head}\n\n![{task.env_name}]({task.name}.png)\n{rest}\n"
+
+
 def _write(tasks: list[Task], folder: Path) -> int:
     from dynaforge.cli.film import skill_picture
     from dynaforge.reports import contact_sheet, encode_png
@@ -68,9 +74,7 @@ def _write(tasks: list[Task], folder: Path) -> int:
         picture = skill_picture(task, islice(task.conditions.stream("val", n_strata=8), 64))
         pictures.append(picture)
         atomic_write(folder / f"{task.name}.png", encode_png(picture))
-        head, _, rest = description(task).partition("\n")
-        page = f"{head}\n\n![{task.env_name}]({task.name}.png)\n{rest}\n"
-        atomic_write(folder / f"{task.name}.md", page.encode())
+        atomic_write(folder / f"{task.name}.md", page_with_picture(task).encode())
         print(f"written to {folder / task.name}.md")
     if len(tasks) > 1:
         labels = [f"{task.env_name}: {task.skill}" for task in tasks]

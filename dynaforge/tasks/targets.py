@@ -110,6 +110,36 @@ class Downstream:
 
 
 @dataclass(frozen=True, slots=True)
+class DownstreamArc:
+    """Meet a tapered object that rolls in a circle: as `Downstream`, along its arc instead of a line.
+
+    It turns to the side of its thin end, where its z axis points.
+
+    Attributes:
+        object: The reference object O.
+        height: Of the end effector above the object's origin, metres.
+        reach: Radius of the disc around the robot's base in which objects can be handled, metres.
+        clearance: The point is at least this far ahead of the object, along its arc, metres.
+        radius: Of the circle in which its origin rolls, metres.
+        grip: How the fingers stand to it.
+    """
+
+    object: str
+    height: float
+    reach: float
+    clearance: float
+    radius: float
+    grip: Grip = Grip.ALONG
+
+    def __call__(self, view: PhaseView) -> Pose:
+        frame = view.entry_frames[self.object]
+        thin_end = view.entry.objects[self.object].pose.rotation[:, 2]
+        turn = math.copysign(self.radius, float(frame.rotation[:, 1] @ thin_end))
+        frame = along_arc(frame, turn, max(self.clearance, arc_to_disc(frame, turn, self.reach)))
+        return Pose(hand_rotation(view, frame, self.object, self.grip), frame.position + (0.0, 0.0, self.height))
+
+
+@dataclass(frozen=True, slots=True)
 class Catching:
     """Wait for an object that comes off a fixture: a pose fixed in the fixture's frame, moved sideways with the object.
 
@@ -217,3 +247,21 @@ def distance_to_disc(frame: Pose, radius: float) -> float:
     nearest = -(x * ux + y * uy)
     missed2 = radius * radius - (x * uy - y * ux) ** 2
     return nearest - math.sqrt(max(0.0, missed2))
+
+
+def along_arc(frame: Pose, turn: float, distance: float) -> Pose:
+    """Move `frame` by `distance` metres along the circle of radius |turn| that its x axis touches, left if positive."""
+    turned = rotation_z(distance / turn)
+    arm = frame.rotation @ (0.0, -turn, 0.0)
+    return Pose(turned @ frame.rotation, frame.position - arm + turned @ arm)
+
+
+def arc_to_disc(frame: Pose, turn: float, radius: float) -> float:
+    """Distance along that circle to the disc of `radius` metres around the world's z axis, as `distance_to_disc`."""
+    arm = frame.rotation @ (0.0, -turn, 0.0)
+    centre = frame.position - arm
+    away = math.hypot(float(centre[0]), float(centre[1]))
+    ahead = math.atan2(-float(centre[1]), -float(centre[0])) - math.atan2(float(arm[1]), float(arm[0]))
+    nearest = math.remainder(math.copysign(1.0, turn) * ahead, 2 * math.pi)
+    cosine = (turn * turn + away * away - radius * radius) / (2 * abs(turn) * away)
+    return abs(turn) * (nearest - math.acos(min(1.0, max(-1.0, cosine))))

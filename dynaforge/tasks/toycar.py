@@ -1,0 +1,105 @@
+"""ToyCar: grasp a toy car that coasts by, across its body, and lift it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from dynaforge.geometry import Pose
+from dynaforge.sim import Condition
+from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
+from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached
+from dynaforge.tasks.targets import Above, Downstream, Grip, Raised, distance_to_disc
+from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+
+HEIGHT = 0.026
+"""Of the car's origin above the table, metres."""
+WHEEL_RADIUS = 0.016
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+REACH = 0.60
+HOVER = 0.06
+OPEN = 0.072
+"""Between the fingers that straddle a body of 56 mm: as much to spare as a can has in a hand that is wide open."""
+# Less than a can's: on wheels of 16 mm, 2e-4 would stop a slow car before it gets to the hand. It keeps straight still.
+ROLLING_FRICTION = 5e-5
+
+CONDITIONS = ConditionSpace(
+    task="toycar",
+    difficulty="speed",
+    ranges={
+        # From almost standing still to what the hand can keep up with. Fingers at a car's sides do not stand in its
+        # way as they do in a can's: the hand must get to its speed, and at 1 m/s that and closing take half the reach.
+        "speed": (0.05, 1.0),
+        # From the right or from the left, by its sign.
+        "side": (-1.0, 1.0),
+        # Up to 20 degrees off the straight line across the workspace.
+        "heading": (-0.35, 0.35),
+        # Where its line crosses the plane ahead of the robot: x, the middle of the reach; y, the offset along the line.
+        "cross_x": (0.42, 0.55),
+        "cross_y": (-0.05, 0.05),
+        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to get there, and 0.2 s to set off.
+        "lead": (0.9, 1.3),
+        # Of the body without its wheels, from plastic to die-cast metal, kg.
+        "mass": (0.1, 0.3),
+    },
+)
+
+
+def launch(condition: Condition) -> Mapping[str, Launch]:
+    """Push the car along its heading, its wheels rolling without slip."""
+    v = condition.values
+    angle = math.copysign(math.pi / 2, v["side"]) + v["heading"]
+    x = np.array((math.cos(angle), math.sin(angle), 0.0))
+    z = np.array((0.0, 0.0, 1.0))
+    rotation = np.column_stack((x, np.cross(z, x), z))
+    crossing = np.array((v["cross_x"], v["cross_y"], HEIGHT))
+    distance = v["speed"] * v["lead"] - distance_to_disc(Pose(rotation, crossing), REACH)
+    spin = dict.fromkeys(WHEELS, v["speed"] / WHEEL_RADIUS)
+    return {"toycar": Launch(Pose(rotation, crossing - distance * x), v["speed"] * x, np.zeros(3), v["mass"], spin)}
+
+
+TASK = Task(
+    name="toycar",
+    env_name="ToyCar",
+    skill="grasp",
+    motion="A toy car is launched at 0.05 to 1.0 m/s, its wheels rolling, and afterwards coasts by physics alone.",
+    randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.3 kg.",
+    goal="The car is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    scene=SceneSpec(
+        bodies=(BodySpec("toycar", "toycar/toycar.urdf", rolling_friction=ROLLING_FRICTION),), launch=launch
+    ),
+    conditions=CONDITIONS,
+    phases=(
+        Phase(
+            "pregrasp", Mode.GLOBAL, Downstream("toycar", HOVER, REACH, 0.08, Grip.ACROSS), width=OPEN,
+            done=All((Reached(0.03), Near("toycar", 0.30))), timeout=3.0, failure="not reached",
+        ),
+        # The fingers have 8 mm to spare on each side; 42 mm from the car's middle the whole pad is still on its body.
+        # One finger at its side cannot push it along its way, so the hand follows until both hold it.
+        Phase(
+            "track", Mode.IK, Above("toycar", HOVER, Grip.ACROSS), width=OPEN, gate=True,
+            done=Aligned("toycar", 0.042, 0.008), timeout=2.0, failure="lost track",
+        ),
+        Phase(
+            "descend", Mode.IK, Above("toycar", 0.0, Grip.ACROSS), width=OPEN, gate=True,
+            done=Aligned("toycar", 0.050, 0.010, height=0.012), timeout=1.0, failure="missed descent",
+            track_until=Grasped("toycar"),
+        ),
+        Phase(
+            "close", Mode.IK, Above("toycar", 0.0, Grip.ACROSS), width=0.0, gate=True,
+            done=Grasped("toycar"), hold=0.1, timeout=0.8, failure="missed close",
+            track_until=Grasped("toycar"),
+        ),
+        Phase(
+            "lift", Mode.GLOBAL, Raised("toycar", 0.15), width=0.0,
+            done=All((Lifted("toycar", 0.10), Grasped("toycar"))), hold=0.25, timeout=2.5, failure="slipped",
+        ),
+    ),
+    impossible=(("dropped", Fallen("toycar")), ("lost track", Departed("toycar", 0.75))),
+    # Along the heading: the limited arm trails a car at 1 m/s by 15 cm. Across: twice the fingers' room. Upward: the
+    # hover height and half as much again. Width: the whole opening, or a hand that closes in 40 ms.
+    residual=ResidualSpec(translation=(0.15, 0.015, 0.09), rotation=(0.0, 0.0, 0.10), width=0.01),
+)  # fmt: skip
