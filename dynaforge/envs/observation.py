@@ -42,6 +42,7 @@ class ObservationBuilder:
         self._time_limit = task.time_limit
         names = task.scene.tracked if len(task.scene.tracked) > 1 else ()
         self._others = names
+        self._manipulated = task.manipulated
         self._history: deque[SceneState] = deque(maxlen=HISTORY)
         self.layout = (
             *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
@@ -89,7 +90,7 @@ class ObservationBuilder:
             body = state.objects[name]
             parts.append((state.ee.position - body.pose.position) @ to_frame)
             parts.append(body.velocity @ to_frame)
-            parts.append((state.width, *map(float, state.touching[name])))
+            parts.append((state.width, *map(float, state.touching[self._manipulated])))
         state, before = self._history[-1], self._history[-2]
         body = state.objects[name]
         parts += (

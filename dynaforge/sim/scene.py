@@ -20,6 +20,7 @@ POSITION_GAIN = 0.3
 VELOCITY_GAIN = 1.0
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to the motor's own limit
 PAD_STIFFNESS, PAD_DAMPING = 1e6, 2000.0  # N/m, N s/m; the URDF's own 3e4 N/m lets objects sink 19 mm into the fingers
+MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
 PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
 PARKED_STEPS = 10  # substeps at each reset; two were just enough for one object, one was not
 
@@ -115,7 +116,8 @@ class SimScene:
                     index, link, lateralFriction=body.lateral_friction, rollingFriction=body.rolling_friction,
                     spinningFriction=body.spinning_friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
                 )  # fmt: skip
-            for joint in joints.values():  # Bullet gives every joint a motor that holds it
+            for joint in joints.values():  # Bullet gives every joint a motor that holds it, and 100 rad/s at most
+                client.changeDynamics(index, joint, maxJointVelocity=MAX_JOINT_SPEED)
                 client.setJointMotorControl2(index, joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0)
             mass, _, inertia = client.getDynamicsInfo(index, -1)[:3]
             self._inertia_per_kg[body.name] = (np.array(inertia) / mass).tolist()

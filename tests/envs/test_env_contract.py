@@ -133,7 +133,10 @@ def varying(env: gym.Env) -> set[tuple[str, int]]:
     inner, rng = env.unwrapped, np.random.default_rng(2)
     layout = inner.observer.layout if isinstance(inner, ResidualEnv) else inner.layout
     names = [(name, i) for name, size, *_ in layout for i in range(size)]
-    episodes = [(4, 0, 0.0), (5, 0, 0.1), (4, 1, 0.2), (5, 4, 0.3), (6, 1, 1.0)]
+    if isinstance(inner, ResidualEnv):
+        episodes = [(4, 0, 0.0), (5, 0, 0.05), (6, 0, 0.1), (4, 1, 0.1), (5, 4, 0.3), (6, 1, 1.0)]
+    else:
+        episodes = [(4, 0, 0.2), (5, 4, 1.0)]
     rows = [
         result[0]
         for k, stratum, scale in episodes
@@ -151,6 +154,12 @@ def test_every_element_of_the_observation_carries_something(env: gym.Env) -> Non
         # Under "skip" a decision never starts in a phase without a gate.
         skipped = [i for i, phase in enumerate(inner.task.phases) if not phase.gate]
         known = {("phase", i) for i in skipped if inner.gate_mode == "skip"}
+        if not any(phase.track_until and phase.gate for phase in inner.task.phases):
+            known.add(("frozen", 0))
+        if inner.gate_mode == "skip" and inner.task.phases[-1].gate:
+            known.add(("gate", 0))
+        if len({phase.width for phase in inner.task.phases}) == 1:
+            known.add(("plan_width", 0))
     else:
         known = {(f"{name}/touching", i) for name in inner.task.scene.tracked for i in range(2)}
     assert constant <= known | still_in_fixtures(inner.task)
