@@ -12,7 +12,8 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
-from dynaforge.tasks.targets import Above, Downstream, Raised, distance_to_disc
+from dynaforge.tasks.rolling import start_of_roll
+from dynaforge.tasks.targets import Above, Downstream, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.033
@@ -43,17 +44,13 @@ CONDITIONS = ConditionSpace(
 def launch(condition: Condition) -> Mapping[str, Launch]:
     """Roll the can without slip along its heading."""
     v = condition.values
-    angle = math.copysign(math.pi / 2, v["side"]) + v["heading"]
-    x = np.array((math.cos(angle), math.sin(angle), 0.0))
-    z = np.array((0.0, 0.0, 1.0))
+    frame = start_of_roll(v, height=RADIUS, reach=REACH)
+    x, z = frame.rotation[:, 0], frame.rotation[:, 2]
     axis = np.cross(x, z)
-    crossing = np.array((v["cross_x"], v["cross_y"], RADIUS))
-    distance = v["speed"] * v["lead"] - distance_to_disc(Pose(np.column_stack((x, np.cross(z, x), z)), crossing), REACH)
-    position = crossing - distance * x
     c, s = math.cos(v["roll"]), math.sin(v["roll"])
     rotation = np.column_stack((c * x + s * z, c * z - s * x, axis))
     spin = np.cross(z, x) * v["speed"] / RADIUS
-    return {"can": Launch(Pose(rotation, position), v["speed"] * x, spin, v["mass"])}
+    return {"can": Launch(Pose(rotation, frame.position), v["speed"] * x, spin, v["mass"])}
 
 
 TASK = Task(

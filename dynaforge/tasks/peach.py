@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
@@ -29,7 +28,8 @@ from dynaforge.tasks.predicates import (
     Touched,
     Within,
 )
-from dynaforge.tasks.targets import Above, Downstream, Over, Raised, distance_to_disc
+from dynaforge.tasks.rolling import start_of_roll
+from dynaforge.tasks.targets import Above, Downstream, Over, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.031
@@ -67,19 +67,15 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
     """Roll the peach without slip along its heading, past the bowl."""
     v = condition.values
     side = math.copysign(1.0, v["side"])
-    angle = side * math.pi / 2 + v["heading"]
-    x = np.array((math.cos(angle), math.sin(angle), 0.0))
-    z = np.array((0.0, 0.0, 1.0))
-    rotation = np.column_stack((x, np.cross(z, x), z))
-    crossing = np.array((v["cross_x"], v["cross_y"], RADIUS))
-    distance = v["speed"] * v["lead"] - distance_to_disc(Pose(rotation, crossing), REACH)
+    frame = start_of_roll(v, height=RADIUS, reach=REACH)
+    x, z = frame.rotation[:, 0], frame.rotation[:, 2]
     spin = np.cross(z, x) * v["speed"] / RADIUS
     bowl = carrier(
         np.array((BOWL_X, side * BOWL_Y, 0.0)), v["bowl_speed"], yaw=v["bowl_yaw"], phase=v["bowl_phase"],
         arm=ARM, swing=SWING,
     )  # fmt: skip
     return {
-        "peach": Launch(Pose(rotation, crossing - distance * x), v["speed"] * x, spin, v["mass"]),
+        "peach": Launch(frame, v["speed"] * x, spin, v["mass"]),
         "bowl": bowl,
     }
 

@@ -13,12 +13,11 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.picking import from_rack
 from dynaforge.tasks.predicates import (
     All,
     Around,
     Fallen,
-    Grasped,
-    Lifted,
     Not,
     OnTable,
     Reached,
@@ -26,7 +25,7 @@ from dynaforge.tasks.predicates import (
     Upright,
     Within,
 )
-from dynaforge.tasks.targets import Above, Grip, Over, Raised
+from dynaforge.tasks.targets import Over
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 LENGTH = 0.09
@@ -99,22 +98,7 @@ TASK = Task(
     ),
     conditions=CONDITIONS,
     phases=(
-        Phase(
-            "reach", Mode.GLOBAL, Above("peg", GRIP + 0.05, Grip.KEPT), width=0.04,
-            done=Reached(0.015), timeout=2.0, failure="not reached",
-        ),
-        Phase(
-            "descend", Mode.IK, Above("peg", GRIP, Grip.KEPT), width=0.04,
-            done=Reached(0.003), timeout=1.0, failure="not reached",
-        ),
-        Phase(
-            "close", Mode.IK, Above("peg", GRIP, Grip.KEPT), width=0.0,
-            done=Grasped("peg"), hold=0.1, timeout=0.8, failure="missed close",
-        ),
-        Phase(
-            "lift", Mode.GLOBAL, Raised("peg", 0.095), width=0.0, takes_hold=True,
-            done=All((Lifted("peg", 0.075), Grasped("peg"))), timeout=1.5, failure="slipped",
-        ),
+        *from_rack("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
         # The fingers centre themselves slowly, so the peg in the hand is measured anew before every step closer.
         Phase(
             "carry", Mode.GLOBAL, Over("hole", "peg", HOVER, TIP, upright=True), width=0.0, takes_hold=True,

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached
-from dynaforge.tasks.targets import Above, Downstream, Grip, Raised, distance_to_disc
+from dynaforge.tasks.rolling import start_of_roll
+from dynaforge.tasks.targets import Above, Downstream, Grip, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 HEIGHT = 0.026
@@ -51,14 +50,9 @@ CONDITIONS = ConditionSpace(
 def launch(condition: Condition) -> Mapping[str, Launch]:
     """Push the car along its heading, its wheels rolling without slip."""
     v = condition.values
-    angle = math.copysign(math.pi / 2, v["side"]) + v["heading"]
-    x = np.array((math.cos(angle), math.sin(angle), 0.0))
-    z = np.array((0.0, 0.0, 1.0))
-    rotation = np.column_stack((x, np.cross(z, x), z))
-    crossing = np.array((v["cross_x"], v["cross_y"], HEIGHT))
-    distance = v["speed"] * v["lead"] - distance_to_disc(Pose(rotation, crossing), REACH)
+    frame = start_of_roll(v, height=HEIGHT, reach=REACH)
     spin = dict.fromkeys(WHEELS, v["speed"] / WHEEL_RADIUS)
-    return {"toycar": Launch(Pose(rotation, crossing - distance * x), v["speed"] * x, np.zeros(3), v["mass"], spin)}
+    return {"toycar": Launch(frame, v["speed"] * frame.rotation[:, 0], np.zeros(3), v["mass"], spin)}
 
 
 TASK = Task(
