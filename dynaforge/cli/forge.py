@@ -38,6 +38,7 @@ from dynaforge.reports import (
 from dynaforge.sim import Condition
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
+SAVED_EVERY = 10  # updates: what a kill may cost of the policy
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
 
 
@@ -125,29 +126,38 @@ class Trained:
 
 
 def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) -> Trained:
-    """Train until the time or the updates are up; Ctrl-C saves the policy first."""
+    """Train until the time or the updates are up; the policy is saved on the way, at the end and at Ctrl-C."""
     from dynaforge.algos.policy_file import MlpPolicyFile
 
     settings = training.hyperparameters(options.algo, task.name)
     env = training.training_env(task, settings["n_envs"], cores=options.workers)
     history, interrupted = History(), False
-    try:
-        model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
-        monitor = TrainingMonitor(history, seconds=seconds, updates=options.updates)
-        try:
-            model.learn(10**12, callback=monitor)
-        except KeyboardInterrupt:
-            interrupted = True
+
+    def save() -> MlpPolicyFile:
         meta = {
             "algo": options.algo,
             "seed": options.seed,
             "updates": len(history.success),
             "versions": package_versions(),
         }
-        policy = MlpPolicyFile.of(model, task=task.name, meta=meta)
-        policy.save(out / "policy.safetensors")
-        model.save(out / "model")
+        saved = MlpPolicyFile.of(model, task=task.name, meta=meta)
+        saved.save(out / "policy.safetensors")
         _save_history(out / "history.json", history, model.optimizer_steps, model.transitions_used)
+        return saved
+
+    def save_now_and_then(update: int) -> None:
+        if update % SAVED_EVERY == 0:
+            save()
+
+    try:
+        model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
+        monitor = TrainingMonitor(history, seconds=seconds, updates=options.updates, on_update=save_now_and_then)
+        try:
+            model.learn(10**12, callback=monitor)
+        except KeyboardInterrupt:
+            interrupted = True
+        policy = save()
+        model.save(out / "model")
     finally:
         env.close()
     return Trained(policy, history, interrupted)
