@@ -67,23 +67,20 @@ class Fixture:
         Raises:
             ValueError: No such variant, or a drive for a joint that is not driven.
         """
-        self.placement = placement
         variant = placement.variant if placement is not None else 0
         if not 0 <= variant < len(self.variants):
             raise ValueError(f"Fixture {self.spec.name!r} has no variant {variant}; it has {len(self.variants)}.")
         self.body, self._link = self.variants[variant], self._links[variant]
         joints = self._joints[variant]
-        self._motors = [(joints[name], STANDING, self._efforts[name]) for name in self.spec.driven]
         self._spring_joint = joints[self.spec.spring.joint] if self.spec.spring is not None else None
+        drives = placement.drives if placement is not None else {}
+        if unknown := sorted(set(drives) - set(self.spec.driven)):
+            raise ValueError(f"Fixture {self.spec.name!r} drives {self.spec.driven}, not {unknown}.")
+        self._motors = [(joints[name], drives.get(name, STANDING), self._efforts[name]) for name in self.spec.driven]
         if placement is None:
             return
-        if unknown := sorted(set(placement.drives) - set(self.spec.driven)):
-            raise ValueError(f"Fixture {self.spec.name!r} drives {self.spec.driven}, not {unknown}.")
         w, x, y, z = placement.pose.quat_wxyz.tolist()
         self._client.resetBasePositionAndOrientation(self.body, placement.pose.position.tolist(), (x, y, z, w))
-        self._motors = [
-            (joints[name], placement.drives.get(name, STANDING), self._efforts[name]) for name in self.spec.driven
-        ]
         for joint, drive, _ in self._motors:
             self._client.resetJointState(self.body, joint, drive.start, drive.speed(0.0))
 
