@@ -46,8 +46,8 @@ def description(task: Task) -> str:
         )
         reasons = ", ".join(dict.fromkeys((phase.failure, *(reason for reason, _ in phase.fails))))
         lines.append(f"| {phase.name} | {phase.mode} | {gate} | {phase.timeout:g} s | {reasons} |")
-    always = ", ".join(dict.fromkeys(reason for reason, _ in task.impossible))
-    lines += ["", f"In every phase it may fail with: {always or 'nothing else'}.", ""]
+    always = ", ".join(dict.fromkeys(reason for reason, _ in task.endings))
+    lines += ["", f"In every phase it may fail with: {always}.", ""]
     lines += ["| condition | from | to |", "|---|---|---|"]
     for name, (low, high) in task.conditions.ranges.items():
         mark = " (difficulty)" if name == task.conditions.difficulty else ""

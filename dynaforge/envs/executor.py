@@ -104,7 +104,7 @@ class PhaseExecutor:
         self._steps += 1
         view = self._view(state)
         phase = self.phase
-        for reason, impossible in (*phase.fails, *self.task.impossible):
+        for reason, impossible in (*phase.fails, *self.task.endings):
             if impossible(view, self.action.target):
                 return self._fail(reason)
         self._held = self._held + 1 if phase.done(view, self.action.target) else 0

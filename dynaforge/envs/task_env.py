@@ -133,12 +133,12 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Tell whether the task's success has held long enough, and the reason of a failure."""
         state, last = self._state, self.task.phases[-1]
         view = PhaseView(state, self._start, self._start, self._frames, self._frames)
+        for reason, holds in self.task.endings:
+            if holds(view, state.ee):
+                return False, reason
         self._held = self._held + 1 if last.done(view, state.ee) else 0
         if last.is_held(self._held, self.task.scene.control_dt):
             return True, ""
-        for reason, impossible in self.task.impossible:
-            if impossible(view, state.ee):
-                return False, reason
         return False, "timeout" if state.time >= self.task.time_limit - 1e-9 else ""
 
     def _observation(self) -> Observation:

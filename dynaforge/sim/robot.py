@@ -24,6 +24,8 @@ class RobotDescription:
         ee_link: Link whose frame is the end-effector frame.
         q_lower, q_upper: Position limits, radians, shape (7,).
         dq_max, ddq_max, dddq_max: Velocity, acceleration and jerk limits, shape (7,).
+        stop_speed: The robot stops itself, as the real arm does by reflex, where a measured joint speed exceeds this
+            multiple of its limit: a servo may overshoot a little, a jammed hand that breaks free may not.
         q_ready: The pose every episode starts from, radians, shape (7,).
         effort_max: Joint torque limits, Nm, shape (7,).
         width_max: Opening between the fingers, metres.
@@ -42,6 +44,7 @@ class RobotDescription:
     dddq_max: Array
     q_ready: Array
     effort_max: Array
+    stop_speed: float = 1.5
     width_max: float = 0.08
     finger_speed_max: float = 0.05
     grip_force: float = 40.0

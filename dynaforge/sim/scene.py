@@ -43,6 +43,7 @@ class SimScene:
     ) -> None:
         self.spec = spec
         self.robot = robot or franka()
+        self._stop_speeds = self.robot.stop_speed * self.robot.dq_max
         self.client = connect(gui=gui)
         self._open = True
         # Without this flag Bullet turns a URDF cylinder into a 32-gon, which loses 0.2 m/s a second when it rolls.
@@ -206,6 +207,7 @@ class SimScene:
     def observe(self) -> SceneState:
         """Snapshot the scene."""
         joints = self._joint_states()
+        dq = np.array([joint[1] for joint in joints[:7]])
         link = self._ee_state()
         left, right = self._fingers
         objects, touching, on_table = {}, {}, {}
@@ -222,12 +224,13 @@ class SimScene:
         return SceneState(
             time=self._time,
             q=np.array([joint[0] for joint in joints[:7]]),
-            dq=np.array([joint[1] for joint in joints[:7]]),
+            dq=dq,
             ee=pose_of(link[4], link[5]),
             width=joints[7][0] + joints[8][0],
             objects=objects,
             touching=touching,
             on_table=on_table,
+            stopped=bool((np.abs(dq) > self._stop_speeds).any()),
             pressed={name: fixture.pressed for name, fixture in self.fixtures.items() if fixture.spec.spring},
         )
 

@@ -35,6 +35,7 @@ class SceneState:
         objects: Free bodies and fixtures (their tracked link) by name.
         touching: For each of them, whether the left and the right finger touch it.
         on_table: For each free body, whether it touches the table.
+        stopped: Whether the robot stopped itself because a joint became too fast.
         pressed: For each fixture with a spring, how far it is pressed in, metres.
     """
 
@@ -46,4 +47,5 @@ class SceneState:
     objects: Mapping[str, BodyState]
     touching: Mapping[str, tuple[bool, bool]]
     on_table: Mapping[str, bool]
+    stopped: bool = False
     pressed: Mapping[str, float] = field(default_factory=dict)

@@ -41,6 +41,14 @@ class Not:
 
 
 @dataclass(frozen=True, slots=True)
+class RobotStopped:
+    """The robot stopped itself because a joint became too fast."""
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return view.state.stopped
+
+
+@dataclass(frozen=True, slots=True)
 class Reached:
     """The hand is within `distance` metres of the target."""
 

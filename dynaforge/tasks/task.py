@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.predicates import Predicate
+from dynaforge.tasks.predicates import Predicate, RobotStopped
 from dynaforge.tasks.targets import Target
 
 
@@ -119,6 +119,11 @@ class Task:
     def manipulated(self) -> str:
         """The object that the hand acts on: the first free body, or the one fixture."""
         return self.scene.tracked[0]
+
+    @property
+    def endings(self) -> tuple[tuple[str, Predicate], ...]:
+        """All (reason, predicate) pairs that end an episode at once: `impossible` and what holds for every task."""
+        return (*self.impossible, ("robot stopped", RobotStopped()))
 
     @property
     def n_checkpoints(self) -> int:

@@ -140,6 +140,12 @@ def test_what_makes_success_impossible_ends_the_episode_at_once() -> None:
     assert executor.outcome == Outcome(False, 1, "dropped", "grasp")
 
 
+def test_a_robot_that_stopped_itself_ends_the_episode_even_in_success() -> None:
+    executor = start(program(phase("touch", Touched("can"))))
+    executor.advance(replace(UP, stopped=True), REFERENCE)
+    assert executor.outcome == Outcome(False, 0, "robot stopped", "touch")
+
+
 @pytest.mark.parametrize(("checkpoint", "value"), [(0, 0.0), (1, 0.2), (4, 0.8)])
 def test_a_failure_is_worth_its_share_of_checkpoints(checkpoint: int, value: float) -> None:
     """Eq. 6 with y = 0: c / C."""

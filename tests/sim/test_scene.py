@@ -155,6 +155,18 @@ def test_the_arm_follows_a_reference_inside_its_limits(scene: SimScene) -> None:
     assert np.abs(state.q - reference).max() < 0.02
 
 
+def test_a_joint_half_again_faster_than_its_limit_stops_the_robot(scene: SimScene) -> None:
+    robot, dt = scene.robot, scene.spec.control_dt
+    for share, stops in ((1.2, False), (2.0, True)):
+        q = scene.reset(CONDITION).q.copy()
+        states = []
+        for _ in range(12):
+            q[6] -= share * robot.dq_max[6] * dt  # the wrist: light enough to follow at once
+            states.append(scene.step(q.copy(), 0.08))
+        assert any(state.stopped for state in states) is stops
+        assert all(state.stopped == (abs(state.dq[6]) > 1.5 * robot.dq_max[6]) for state in states)
+
+
 def test_a_missing_asset_is_named() -> None:
     with pytest.raises(FileNotFoundError, match=r"can/cann\.urdf"):
         asset_path("can/cann.urdf")
