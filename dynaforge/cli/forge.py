@@ -14,17 +14,23 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
+from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import training
 from dynaforge.cli.film import film_clips
-from dynaforge.cli.training import History, TrainingMonitor
+from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
-from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, frontier_of_outcomes, paired_difference
+from dynaforge.evaluation import (
+    DgrReport,
+    PairedDifference,
+    TrainingHistory,
+    comparison_table,
+    paired_difference,
+)
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, run_attempts
 from dynaforge.reports import (
     ReportData,
@@ -92,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"[2/5] training with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
     trained = train(task, options, out, seconds)
     if trained.interrupted:
-        print(f"interrupted after {len(trained.history.success)} updates; policy saved: {out / 'policy.safetensors'}")
+        print(f"interrupted after {len(trained.history)} updates; policy saved: {out / 'policy.safetensors'}")
         return 130
 
     print(f"[3/5] planner and residual on {options.attempts} other fresh conditions")
@@ -120,44 +126,39 @@ def run(options: argparse.Namespace) -> int:
 class Trained:
     """What `train` returns."""
 
-    policy: Any
-    history: History
+    policy: MlpPolicyFile
+    history: TrainingHistory
     interrupted: bool
 
 
 def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) -> Trained:
     """Train until the time or the updates are up; the policy is saved on the way, at the end and at Ctrl-C."""
-    from dynaforge.algos.policy_file import MlpPolicyFile
-
     settings = training.hyperparameters(options.algo, task.name)
     env = training.training_env(task, settings["n_envs"], cores=options.workers)
-    history, interrupted = History(), False
+    history, interrupted = TrainingHistory(), False
 
     def save() -> MlpPolicyFile:
-        meta = {
-            "algo": options.algo,
-            "seed": options.seed,
-            "updates": len(history.success),
-            "versions": package_versions(),
-        }
-        saved = MlpPolicyFile.of(model, task=task.name, meta=meta)
+        saved = training.policy_file(model, task.name, algo=options.algo, seed=options.seed, updates=len(history))
         saved.save(out / "policy.safetensors")
-        _save_history(out / "history.json", history, model.optimizer_steps, model.transitions_used)
+        history.save(out / "history.json")
         return saved
 
-    def save_now_and_then(update: int) -> None:
-        if update % SAVED_EVERY == 0:
+    def between_updates(updates: int) -> bool:
+        if updates and updates % SAVED_EVERY == 0:
             save()
+        return limit(updates)
 
     try:
         model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
-        monitor = TrainingMonitor(history, seconds=seconds, updates=options.updates, on_update=save_now_and_then)
+        limit = TimeLimit(history, seconds=seconds, updates=options.updates)
         try:
-            model.learn(10**12, callback=monitor)
+            model.learn(10**12, callback=TrainingMonitor(history, task.conditions.difficulty_range, between_updates))
         except KeyboardInterrupt:
             interrupted = True
+        finally:
+            limit.close()
         policy = save()
-        model.save(out / "model")
+        training.save_model(model, out / "model.zip")
     finally:
         env.close()
     return Trained(policy, history, interrupted)
@@ -212,7 +213,7 @@ def _collect(task: Task, generator: Generator, folder: Path, options: argparse.N
 
 
 def _write(
-    out: Path, task: Task, options: argparse.Namespace, history: History, reports: list[DgrReport],
+    out: Path, task: Task, options: argparse.Namespace, history: TrainingHistory, reports: list[DgrReport],
     paired: PairedDifference, attempts: list[Attempt],
 ) -> None:  # fmt: skip
     command = shlex.join(["dynaforge", *sys.argv[1:]])
@@ -222,18 +223,16 @@ def _write(
         "algo": options.algo,
         "seed": options.seed,
         "versions": package_versions(),
-        "updates": len(history.success),
+        "updates": len(history),
         "reports": [report.to_dict() for report in reports],
         "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
     }
     atomic_write(out / "result.json", json.dumps(result, indent=2).encode())
     figures = [ReportFigure("Success by difficulty", "Wilson 95 % intervals.", dgr_by_difficulty(reports))]
     figures.append(ReportFigure("Why attempts failed", "Attempts lost to each reason.", failure_bars(reports)))
-    if len(history.success) > 1:
-        curve = learning_curve(
-            {options.algo: history.rates().mean(axis=1)}, planner_only=reports[0].mean, final=reports[1].mean
-        )
-        heatmap = stratum_heatmap(frontier_of_outcomes(np.array(history.success)))
+    if len(history) > 1:
+        curve = learning_curve({options.algo: history.success}, planner_only=reports[0].mean, final=reports[1].mean)
+        heatmap = stratum_heatmap(history.frontier())
         figures = [
             ReportFigure("Learning curve", "Success of exploring rollouts; trailing 20-update mean.", curve),
             ReportFigure("Success by stratum over updates", "Red: the competence frontier.", heatmap),
@@ -255,15 +254,3 @@ def _write(
             attempts=attempts,
         ),
     )
-
-
-def _save_history(path: Path, history: History, optimizer_steps: int, transitions_used: int) -> None:
-    data = {
-        "success": [np.asarray(s).astype(int).tolist() for s in history.success],
-        "seconds": history.seconds,
-        "timesteps": history.timesteps,
-        "optimizer_steps": history.optimizer_steps,
-        "total_optimizer_steps": optimizer_steps,
-        "transitions_used": transitions_used,
-    }
-    atomic_write(path, json.dumps(data).encode())

@@ -1,29 +1,38 @@
-"""Training a residual with the hyperparameters of zoo_configs, as `forge` does it."""
+"""Training a residual with the hyperparameters of zoo_configs, as `forge` and `compare` do it."""
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch as th
 import yaml
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli.versions import package_versions
+from dynaforge.demos import atomic_write
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.evaluation.history import STRATA, TrainingHistory
 from dynaforge.registration import env_id
 from dynaforge.tasks import Task
 
 BARS = "▁▂▃▄▅▆▇█"
 LIKE = "DynaForge/Can-v0"  # whose settings a task that is not listed takes
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
+ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 
 
 def hyperparameters(algo: str, task: str) -> dict[str, Any]:
@@ -33,8 +42,8 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
         ValueError: No file for the algorithm, or no entry for the task.
     """
     path = Path(str(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml")))
-    if not path.is_file():
-        raise ValueError(f"No zoo_configs/{algo}.yml for algorithm {algo!r}.")
+    if algo not in ALGORITHMS or not path.is_file():
+        raise ValueError(f"No zoo_configs/{algo}.yml for algorithm {algo!r}; known are {', '.join(ALGORITHMS)}.")
     listed = yaml.safe_load(path.read_text(encoding="utf-8"))
     entry = listed.get(env_id(task), listed.get(LIKE))
     if entry is None:
@@ -42,16 +51,20 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
     return dict(entry)
 
 
-def training_env(task: Task, n_envs: int, *, cores: int = 2) -> SharedMemoryVecEnv:
+def training_env(task: Task, n_envs: int, *, cores: int = 2) -> VecEnv:
     """Make the vectorised env to collect in.
 
-    Mask mode, so that no env's long lift stalls the others; two workers a core, so that one with less to do leaves
-    its share of the core to the others.
+    On several cores: mask mode, so that no env's long lift stalls the others, and two workers a core, so that one
+    with less to do leaves its share of the core to the others. On one core: this process, where nothing can stall.
     """
+    if cores == 1:
+        return DummyVecEnv([partial(ResidualEnv, task)] * n_envs)
     return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode="mask")] * n_envs, n_workers=2 * cores)
 
 
-def build_model(task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any) -> FrontierGRPO:
+def build_model(
+    task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any
+) -> OnPolicyAlgorithm:
     """Build the model that zoo_configs describes.
 
     Args:
@@ -64,81 +77,153 @@ def build_model(task: str, env: Any, *, algo: str = "frontier_grpo", seed: int =
     options = hyperparameters(algo, task) | changes
     policy = options["policy"]
     kept = {name: value for name, value in options.items() if name not in NOT_THE_MODEL}
-    return FrontierGRPO(policy, env, seed=seed, **kept)
+    return ALGORITHMS[algo](policy, env, seed=seed, device="cpu", **kept)
 
 
-@dataclass(slots=True)
-class History:
-    """What training leaves behind, one entry an update.
-
-    Attributes:
-        success: Successes, shape (N, K) each, strata in order.
-        seconds: Wall seconds since the start.
-        timesteps: Environment steps since the start.
-        optimizer_steps: Optimizer steps since the start.
-    """
-
-    success: list[np.ndarray[Any, Any]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-    timesteps: list[int] = field(default_factory=list)
-    optimizer_steps: list[int] = field(default_factory=list)
-
-    def rates(self) -> np.ndarray[Any, Any]:
-        """Success rate of every stratum at every update, shape (U, N)."""
-        return np.array([s.mean(axis=1) for s in self.success])
+def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
+    """Take the policy out of a model, with how it was trained."""
+    meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions()}
+    return MlpPolicyFile.of(model, task=task, meta=meta)
 
 
 class TrainingMonitor(BaseCallback):
-    """Keeps the history, shows a bar with time left and success by stratum, and stops when the time is up.
+    """Keeps the history of a run of any on-policy algorithm.
 
     Args:
-        history: Filled as training goes.
-        seconds: Wall time allowed; no update is begun that would not end in time.
-        updates: Updates allowed; None for no limit.
-        on_update: Called with the number of updates after each.
-        quiet: Show nothing.
+        history: Filled as training goes; a resumed run's holds what went before.
+        difficulty_range: Of the task; episodes are counted in equal strata of it.
+        between_updates: Called between two updates with the number of updates made so far, and at the end; False
+            ends training.
     """
 
     def __init__(
-        self, history: History, *, seconds: float, updates: int | None = None,
-        on_update: Callable[[int], None] = lambda update: None, quiet: bool = False,
+        self, history: TrainingHistory, difficulty_range: tuple[float, float],
+        between_updates: Callable[[int], bool] = lambda updates: True,
     ) -> None:  # fmt: skip
         super().__init__()
         self.history = history
-        self._seconds = seconds
-        self._updates = updates
-        self._on_update = on_update
-        self._quiet = quiet
-        self._goes_on = True
+        self._range = difficulty_range
+        self._between_updates = between_updates
+        self._optimizer_steps = history.optimizer_steps[-1] if history.optimizer_steps else 0
+        self._collected = self._goes_on = True
 
     def _on_training_start(self) -> None:
-        self._start = self._last = time.monotonic()
-        self._longest = 0.0
-        self._bar = tqdm(
-            total=round(self._seconds), unit="s", disable=self._quiet,
-            bar_format="training {percentage:3.0f}%|{bar:20}| {n:.0f}/{total_fmt} s {postfix}",
-        )  # fmt: skip
+        self._collected = False
+
+        def count(*_: Any) -> None:
+            self._optimizer_steps += 1
+
+        self._hook = self.model.policy.optimizer.register_step_post_hook(count)
+
+    def _on_rollout_start(self) -> None:
+        self._close_update()
+        self._successes, self._trials = np.zeros(STRATA, int), np.zeros(STRATA, int)
+        self._goes_on = self._between_updates(len(self.history))
+        self._clock = time.perf_counter(), time.process_time()
 
     def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        for row in np.flatnonzero(self.locals["dones"]).tolist():
+            info = infos[row]
+            low, high = self._range
+            stratum = min(int((info["difficulty"] - low) / (high - low) * STRATA), STRATA - 1)
+            self._trials[stratum] += 1
+            self._successes[stratum] += info["is_success"]
         return self._goes_on
 
     def _on_rollout_end(self) -> None:
-        now, model, history = time.monotonic(), self.model, self.history
-        assert isinstance(model, FrontierGRPO)
-        self._longest = max(self._longest, now - self._last)
-        self._last = now
-        history.success.append(np.array(model.last_group_success))
-        history.seconds.append(now - self._start)
+        history, model = self.history, self.model
+        wall, cpu = self._lap()
+        history.successes.append(self._successes.tolist())
+        history.trials.append(self._trials.tolist())
+        history.collect_wall.append(wall)
+        history.collect_cpu.append(cpu)
         history.timesteps.append(self.num_timesteps)
-        history.optimizer_steps.append(model.optimizer_steps)
-        done = len(history.success)
-        rates = history.success[-1].mean(axis=1)
-        strata = "".join(BARS[round(float(rate) * (len(BARS) - 1))] for rate in rates)
-        self._bar.set_postfix_str(f"update {done}, success {rates.mean():4.0%}, easy {strata} hard")
-        self._bar.update(now - self._start - self._bar.n)
-        self._on_update(done)
-        time_is_up = now - self._start + self._longest > self._seconds
-        self._goes_on = not time_is_up and (self._updates is None or done < self._updates)
+        if isinstance(model, FrontierGRPO):
+            won = np.asarray(model.last_group_success).mean(axis=1)
+            history.groups.append([int((won == 0).sum()), int(((won > 0) & (won < 1)).sum()), int((won == 1).sum())])
+        self._collected = True
 
     def _on_training_end(self) -> None:
+        self._close_update()
+        self._hook.remove()
+        if self._goes_on:
+            self._between_updates(len(self.history))
+
+    def _close_update(self) -> None:
+        """Note what the optimisation that followed the last collection took."""
+        if not self._collected:
+            return
+        history = self.history
+        wall, cpu = self._lap()
+        history.optimize_wall.append(wall)
+        history.optimize_cpu.append(cpu)
+        history.optimizer_steps.append(self._optimizer_steps)
+        history.transitions_used.append(getattr(self.model, "transitions_used", self.num_timesteps))
+        self._collected = False
+
+    def _lap(self) -> tuple[float, float]:
+        """Return wall and CPU seconds since the last call."""
+        before, self._clock = self._clock, (time.perf_counter(), time.process_time())
+        wall, cpu = (now - then for now, then in zip(self._clock, before, strict=True))
+        return round(wall, 4), round(cpu, 4)
+
+
+class TimeLimit:
+    """Ends training when the time or the updates are up, and shows a bar with success by stratum.
+
+    Args:
+        history: Of the run.
+        seconds: Wall time allowed; no update is begun that would not end in time.
+        updates: Updates allowed; None for no limit.
+    """
+
+    def __init__(self, history: TrainingHistory, *, seconds: float, updates: int | None = None) -> None:
+        self._history, self._seconds, self._updates = history, seconds, updates
+        self._start = self._last = time.monotonic()
+        self._longest = 0.0
+        self._bar = tqdm(
+            total=round(seconds), unit="s",
+            bar_format="training {percentage:3.0f}%|{bar:20}| {n:.0f}/{total_fmt} s {postfix}",
+        )  # fmt: skip
+
+    def __call__(self, updates: int) -> bool:
+        """Tell whether another update may begin."""
+        now = time.monotonic()
+        if updates:
+            self._longest = max(self._longest, now - self._last)
+            self._bar.set_postfix_str(f"update {updates}, {describe_update(self._history)}")
+        self._last = now
+        self._bar.update(min(now - self._start, self._seconds) - self._bar.n)
+        time_is_up = now - self._start + self._longest > self._seconds
+        return not time_is_up and (self._updates is None or updates < self._updates)
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
         self._bar.close()
+
+
+def describe_update(history: TrainingHistory) -> str:
+    """Put the last update's success, overall and by stratum, in a few characters."""
+    last = history.frontier()
+    rates = last.success[-1]
+    strata = "".join(" " if np.isnan(r) else BARS[round(float(r) * (len(BARS) - 1))] for r in rates)
+    return f"success {last.overall[-1]:4.0%}, easy {strata} hard"
+
+
+def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Write an SB3 checkpoint, as a whole or not at all."""
+    whole = io.BytesIO()
+    model.save(whole)
+    atomic_write(path, whole.getvalue())
+
+
+def load_model(path: Path, env: VecEnv, *, algo: str, seed: int) -> OnPolicyAlgorithm:
+    """Go on from a checkpoint: FrontierGRPO bit for bit, PPO with new episodes in place of those under way."""
+    model = ALGORITHMS[algo].load(path, env=env, device="cpu")
+    if not isinstance(model, FrontierGRPO):
+        fresh = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(2)
+        th.manual_seed(int(fresh[0]))
+        np.random.seed(int(fresh[0]))  # noqa: NPY002 - SB3's PPO shuffles its minibatches with it
+        env.seed(int(fresh[1]) // 2)
+    return model

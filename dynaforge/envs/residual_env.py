@@ -180,5 +180,6 @@ class ResidualEnv(gym.Env[Observation, Observation]):
                 "failure": outcome.failure,
                 "phase": outcome.phase,
                 "condition_id": self._condition.id,
+                "difficulty": self._condition.difficulty,
             }
         return self._observation(), reward, outcome is not None, False, info

@@ -115,6 +115,7 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         info: dict[str, Any] = {}
         if success or failure:
             info = {"is_success": success, "failure": failure, "condition_id": self._condition.id}
+            info["difficulty"] = self._condition.difficulty
         return self._observation(), float(success), bool(success or failure), False, info
 
     def render(self) -> NDArray[np.uint8] | None:

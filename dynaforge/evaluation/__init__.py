@@ -1,13 +1,16 @@
 """Success rates and what can be said about them: DGR, paired statistics, the competence frontier."""
 
+from dynaforge.evaluation.comparison import COLUMNS, PLANNER, ArmSummary, Comparison, StoredRun
 from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain, task_table
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, frontier_of_outcomes, trailing_mean
+from dynaforge.evaluation.history import STRATA, Probe, TrainingHistory
 from dynaforge.evaluation.statistics import (
     BinComparison,
     BootstrapDifference,
     Interval,
     PairedDifference,
     bootstrap_over,
+    bootstrap_over_tasks,
     mcnemar_exact,
     no_bin_lost,
     paired_difference,
@@ -16,17 +19,26 @@ from dynaforge.evaluation.statistics import (
 )
 
 __all__ = [
+    "COLUMNS",
+    "PLANNER",
+    "STRATA",
+    "ArmSummary",
     "BinComparison",
     "BootstrapDifference",
+    "Comparison",
     "Count",
     "DgrReport",
     "FrontierAnalysis",
     "Interval",
     "Outcome",
     "PairedDifference",
+    "Probe",
+    "StoredRun",
+    "TrainingHistory",
     "Trial",
     "analyse_frontier",
     "bootstrap_over",
+    "bootstrap_over_tasks",
     "comparison_table",
     "describe_gain",
     "frontier_of_outcomes",

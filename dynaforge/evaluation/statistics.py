@@ -154,9 +154,6 @@ def bootstrap_over(
 ) -> BootstrapDifference:
     """Compare two training algorithms: success rate of b minus that of a, over training seeds and conditions.
 
-    Training seeds are resampled for each algorithm on its own, conditions for both together since they are shared.
-    Percentile interval.
-
     Args:
         a, b: Success of training seed s on condition c, shapes (S_a, C) and (S_b, C).
         rng: Where the resampling draws from.
@@ -164,18 +161,39 @@ def bootstrap_over(
     Raises:
         ValueError: The shapes do not fit, or the outcomes are not binary.
     """
-    first, second = _outcomes(a).astype(float), _outcomes(b).astype(float)
-    if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not first.size or not second.size:
-        raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
-    conditions = _weights(first.shape[1], resamples, rng)
+    return bootstrap_over_tasks([(a, b)], rng=rng, resamples=resamples, confidence=confidence)
 
-    def rates(outcomes: Array) -> Array:
-        return np.asarray(np.sum((_weights(len(outcomes), resamples, rng) @ outcomes) * conditions, axis=1))
 
-    draws = rates(second) - rates(first)
+def bootstrap_over_tasks(
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]], *, rng: np.random.Generator, resamples: int = 10_000,
+    confidence: float = 0.95,
+) -> BootstrapDifference:  # fmt: skip
+    """Compare two training algorithms by the mean over tasks of their difference in success rate.
+
+    The tasks are taken as given. Within a task, training seeds are resampled for each algorithm on its own,
+    conditions for both together since they are shared. Percentile interval.
+
+    Args:
+        pairs: A pair (a, b) a task, as in `bootstrap_over`.
+        rng: Where the resampling draws from.
+
+    Raises:
+        ValueError: No task, the shapes do not fit, or the outcomes are not binary.
+    """
+    if not pairs:
+        raise ValueError("There is no task to compare on.")
+    differences, draws = [], np.zeros(resamples)
+    for a, b in pairs:
+        first, second = _outcomes(a).astype(float), _outcomes(b).astype(float)
+        if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not (first.size and second.size):
+            raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
+        conditions = _weights(first.shape[1], resamples, rng)
+        low, high = (np.sum((_weights(len(o), resamples, rng) @ o) * conditions, axis=1) for o in (first, second))
+        draws += (high - low) / len(pairs)
+        differences.append(second.mean() - first.mean())
     tail = (1 - confidence) / 2
-    low, high = np.quantile(draws, [tail, 1 - tail])
-    return BootstrapDifference(float(second.mean() - first.mean()), Interval(float(low), float(high)), resamples)
+    ends = np.quantile(draws, [tail, 1 - tail])
+    return BootstrapDifference(float(np.mean(differences)), Interval(float(ends[0]), float(ends[1])), resamples)
 
 
 def _weights(n: int, resamples: int, rng: np.random.Generator) -> Array:

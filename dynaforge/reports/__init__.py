@@ -1,7 +1,8 @@
 """Reports: figures, films, and one HTML page that holds them. Needs the `[report]` extra when used."""
 
+from dynaforge.reports.comparison import write_comparison
 from dynaforge.reports.html import Clip, ReportData, ReportFigure, render_report, write_report
-from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, stratum_heatmap
+from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.video import contact_sheet, encode_gif, encode_mp4, encode_png
 
 __all__ = [
@@ -15,7 +16,9 @@ __all__ = [
     "encode_png",
     "failure_bars",
     "learning_curve",
+    "probe_curve",
     "render_report",
     "stratum_heatmap",
+    "write_comparison",
     "write_report",
 ]

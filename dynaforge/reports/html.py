@@ -74,6 +74,18 @@ def render_report(data: ReportData) -> str:
         ImportError: Jinja2, of the `[report]` extra, is missing.
         ValueError: A figure is neither PNG nor SVG.
     """
+    shown = list(data.attempts)[:MOST_ATTEMPTS]
+    hidden = len(data.attempts) - len(shown)
+    return render(PAGE, data=data, reasons=_reasons(data.reports), shown=shown, hidden=hidden)
+
+
+def render(template: str, **values: Any) -> str:
+    """Fill a template of `dynaforge.reports.template`; all values are escaped.
+
+    Raises:
+        ImportError: Jinja2, of the `[report]` extra, is missing.
+        ValueError: A figure is neither PNG nor SVG.
+    """
     jinja2 = load_extra("jinja2")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -81,15 +93,7 @@ def render_report(data: ReportData) -> str:
     environment.filters.update(
         percent=_percent, points=_points, gain=describe_gain, image_url=_image_url, video_url=_video_url
     )
-    shown = list(data.attempts)[:MOST_ATTEMPTS]
-    page = environment.from_string(PAGE).render(
-        data=data,
-        style=load_extra("markupsafe").Markup(STYLE),
-        reasons=_reasons(data.reports),
-        shown=shown,
-        hidden=len(data.attempts) - len(shown),
-    )
-    return str(page)
+    return str(environment.from_string(template).render(style=load_extra("markupsafe").Markup(STYLE), **values))
 
 
 def write_report(path: str | Path, data: ReportData) -> None:

@@ -43,6 +43,7 @@ def learning_curve(
     *,
     planner_only: float | None = None,
     final: float | None = None,
+    steps: Mapping[str, ArrayLike] | None = None,
     window: int = WINDOW,
     fmt: Format = "svg",
 ) -> bytes:
@@ -51,19 +52,20 @@ def learning_curve(
     Args:
         success: Success fraction of each update, shape (U,), by the name of the run.
         planner_only, final: Separately measured rates, drawn as horizontal lines.
+        steps: Environment steps at each of these updates, to draw over; None draws over updates.
         window: Updates in the trailing mean.
     """
     with _drawing((8.0, 4.0)) as (figure, axes):
         for colour, (name, values) in zip(_cycle(len(success)), success.items(), strict=True):
-            updates = np.arange(1, np.size(values) + 1)
-            axes.plot(updates, np.asarray(values, dtype=float), color=colour, alpha=0.25, linewidth=1)
-            axes.plot(updates, trailing_mean(values, window), color=colour, linewidth=2.2, label=name)
+            where = np.arange(1, np.size(values) + 1) if steps is None else np.asarray(steps[name])
+            axes.plot(where, np.asarray(values, dtype=float), color=colour, alpha=0.25, linewidth=1)
+            axes.plot(where, trailing_mean(values, window), color=colour, linewidth=2.2, label=name)
         levels = (("planner only", planner_only, "--", GREY), ("final policy", final, "-.", RED))
         for label, level, dash, colour in levels:
             if level is not None:
                 axes.axhline(level, color=colour, linestyle=dash, linewidth=1.5, label=f"{label} {level:.0%}")
         _percent(axes, "y")
-        axes.set_xlabel("update")
+        axes.set_xlabel("update" if steps is None else "environment steps")
         axes.set_ylabel("success in training")
         axes.grid(axis="y")
         if axes.get_legend_handles_labels()[1]:
@@ -98,6 +100,26 @@ def stratum_heatmap(analysis: FrontierAnalysis, *, fmt: Format = "svg") -> bytes
         _percent(bar.ax, "y")
         bar.set_label(f"success, last {WINDOW} updates")
         figure.legend(loc="outside lower center")
+        return _bytes(figure, fmt)
+
+
+def probe_curve(success: Mapping[str, ArrayLike], steps: Mapping[str, ArrayLike], *, fmt: Format = "svg") -> bytes:
+    """Draw success without exploration, as measured now and then during training.
+
+    Args:
+        success: Success fraction at each measurement, shape (P,), by the name of the run.
+        steps: Environment steps before each, shape (P,).
+    """
+    with _drawing((8.0, 3.4)) as (figure, axes):
+        for colour, (name, values) in zip(_cycle(len(success)), success.items(), strict=True):
+            axes.plot(
+                np.asarray(steps[name]), np.asarray(values), color=colour, linewidth=1.8, marker="o", ms=4, label=name
+            )
+        _percent(axes, "y")
+        axes.set_xlabel("environment steps")
+        axes.set_ylabel("success without exploration")
+        axes.grid(axis="y")
+        figure.legend(loc="outside lower center", ncols=3)
         return _bytes(figure, fmt)
 
 

@@ -1,4 +1,4 @@
-"""The page of a report: one Jinja2 template that needs nothing from outside the file it becomes."""
+"""The pages of reports: Jinja2 templates that need nothing from outside the file they become."""
 
 from __future__ import annotations
 
@@ -149,6 +149,59 @@ PAGE = """{% macro outcome(one) -%}
 {% for name, value in data.versions.items() %}<dt>{{ name }}</dt><dd>{{ value }}</dd>{% endfor %}
 <dt>date</dt><dd>{{ data.date }}</dd>
 </dl></div>
+</section>
+</main>
+</body>
+</html>
+"""
+
+COMPARISON = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>{{ title }}</title>
+<style>{{ style }}</style>
+</head>
+<body>
+<main>
+<header>
+<h1>{{ title }}</h1>
+<p class="soft">{{ date }}</p>
+<pre><code>{{ command }}</code></pre>
+</header>
+<p class="soft">{{ legend }}</p>
+{% for section in sections %}
+<section>
+<h2>{{ section.title }}</h2>
+<div class="card scroll"><table>
+<tr><th>arm</th>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
+{% for name, cells in section.rows %}
+<tr><td>{{ name }}</td>{% for cell in cells %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}
+</table></div>
+{% if section.groups %}
+<div class="card scroll"><table>
+<tr><th>arm</th><th>groups all lost</th><th>mixed</th><th>all won</th><th>strata won and lost again</th></tr>
+{% for row in section.groups %}
+<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}
+</table></div>
+{% endif %}
+{% for figure in section.figures %}
+<figure class="card"><img src="{{ figure.image | image_url }}" alt="{{ figure.title }}">
+<figcaption><b>{{ figure.title }}.</b> {{ figure.caption }}</figcaption></figure>
+{% endfor %}
+</section>
+{% endfor %}
+<section>
+<h2>Settings</h2>
+{% for arm, values in settings.items() %}
+<details class="card"><summary>{{ arm }}</summary><dl>
+{% for name, value in values.items() %}<dt>{{ name }}</dt><dd>{{ value }}</dd>{% endfor %}
+</dl></details>
+{% endfor %}
 </section>
 </main>
 </body>

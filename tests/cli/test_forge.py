@@ -16,6 +16,7 @@ from dynaforge.cli.training import build_model, hyperparameters
 from dynaforge.cli.zoo import config_file
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.evaluation import TrainingHistory
 
 
 @pytest.mark.timeout(170)
@@ -36,7 +37,9 @@ def test_forge_ends_with_demonstrations_policy_and_report(
     assert all(e.success and e.meta["policy_hash"] == policy.digest for e in dataset)
     assert len(dataset.attempts()) >= len(dataset)
     assert json.loads((out / "result.json").read_text())["updates"] == 1
-    assert len(json.loads((out / "history.json").read_text())["success"][0]) == 4
+    history = TrainingHistory.load(out / "history.json")
+    assert sum(history.trials[0]) == 8
+    assert sum(history.groups[0]) == 4
     assert "<video" in (out / "report.html").read_text()
 
 

@@ -29,8 +29,8 @@ VARIANTS = [
     for mode in modes[: 2 if name == "Can" else 1]
 ]
 NAMES = [f"{name.removeprefix('DynaForge/')}-{next(iter(kwargs.values()))}" for name, kwargs in VARIANTS]
-RESIDUAL_INFO = {"is_success", "checkpoint", "failure", "phase", "condition_id", "residual_mask"}
-TASK_INFO = {"is_success", "failure", "condition_id"}
+RESIDUAL_INFO = {"is_success", "checkpoint", "failure", "phase", "condition_id", "difficulty", "residual_mask"}
+TASK_INFO = {"is_success", "failure", "condition_id", "difficulty"}
 
 
 @pytest.fixture(scope="module", params=VARIANTS, ids=NAMES)
@@ -79,6 +79,7 @@ def check_end(env: gym.Env, rewards: list[float], info: dict[str, Any], conditio
     assert not any(rewards[:-1])
     assert type(info["is_success"]) is bool
     assert info["condition_id"] == condition.id
+    assert info["difficulty"] == condition.difficulty
     assert bool(info["failure"]) != info["is_success"]
     if not isinstance(env.unwrapped, ResidualEnv):
         assert set(info) >= TASK_INFO

@@ -1,0 +1,245 @@
+"""`dynaforge compare`: train arms on tasks with several seeds, measure all on the same conditions, report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import shlex
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from dynaforge.cli import training
+from dynaforge.cli.forge import minutes
+from dynaforge.cli.runs import Exam, RunSpec, arms
+from dynaforge.demos import check_writable
+from dynaforge.evaluation import Comparison
+from dynaforge.registration import env_id
+from dynaforge.reports import write_comparison
+from dynaforge.tasks import STREAMS, TASK_NAMES, get_task
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `compare`."""
+    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
+    parser.add_argument("--algos", nargs="+", default=["ppo", "grpo", "frontier_grpo"], help=f"of {', '.join(arms())}")
+    parser.add_argument("--train-seeds", type=int, default=3, help="training seeds 0, 1, ... of each")
+    parser.add_argument("--steps", type=float, default=1e5, help="environment steps of a run, about 50 updates")
+    parser.add_argument("--stream", default="test", choices=STREAMS, help="choose on val, report on test")
+    parser.add_argument("--seeds", type=int, default=3, help="blocks of conditions that measure a finished policy")
+    parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
+    parser.add_argument(
+        "--vary", nargs="+", metavar=("SETTING", "VALUE"), help="an arm for each value, e.g. learning_rate 5e-4 1e-3"
+    )
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="runs at a time, one core each")
+    parser.add_argument("--budget", type=minutes, help="stop after so long (90s, 10m, 8h); the same command goes on")
+    parser.add_argument("--out", type=Path, default=Path("runs/compare"), help="folder of the runs and the report")
+    parser.add_argument("--report-only", action="store_true", help="start nothing, report what is stored")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run what is missing, then write table and report."""
+    specs = matrix(options)
+    check_writable(_made(options.out))
+    for spec in specs:
+        spec.check()
+    missing = [spec for spec in specs if not spec.finished]
+    print(f"{len(specs)} runs, {len(specs) - len(missing)} finished; stored in {options.out}")
+    complete = not missing
+    if missing and not options.report_only:
+        complete = Crew(missing, options.workers, seconds=60 * (options.budget or float("inf"))).work()
+    comparison = Comparison.load(options.out, [spec.folder for spec in specs if spec.finished])
+    if not comparison.runs:
+        print("nothing is finished yet, so there is nothing to report")
+        return 0 if options.report_only else 1
+    command = shlex.join(["dynaforge", *sys.argv[1:]])
+    page = write_comparison(options.out, comparison, command=command, date=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC")
+    print(f"\n{comparison.table()}\n")
+    print(f"report {page}")
+    if not complete and not options.report_only:
+        print("not finished: the same command goes on where it stopped")
+    return 0 if complete or options.report_only else 1
+
+
+def matrix(options: argparse.Namespace) -> list[RunSpec]:
+    """Spell out the runs, seed by seed, so that what is finished at any moment compares.
+
+    Raises:
+        ValueError: Something unknown or out of range, said before any run is started.
+    """
+    for name, least in (("train_seeds", 1), ("steps", 1), ("seeds", 1), ("attempts", 1), ("workers", 1)):
+        if getattr(options, name) < least:
+            raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name):g}; it must be at least {least}.")
+    names = list(TASK_NAMES) if options.task == ["all"] else options.task
+    tasks = {get_task(name).name: name for name in names}
+    exam = Exam(options.stream, options.seeds, options.attempts)
+    known = arms()
+    if unknown := [name for name in options.algos if name not in known]:
+        raise ValueError(f"No algorithm {unknown[0]!r} to compare; known are {', '.join(known)}.")
+    crew: dict[str, tuple[str, dict[str, Any]]] = {}
+    for arm in options.algos:
+        settings = dict(known[arm])
+        algo = settings.pop("config")
+        for name, changes in _varied(arm, settings, options.vary):
+            crew[name] = (algo, changes)
+    for algo, changes in crew.values():
+        _check_settings(algo, changes, next(iter(tasks)))
+    specs = [
+        RunSpec(given, "planner_only", "", {}, 0, 0, exam, options.out / name / "planner_only")
+        for name, given in tasks.items()
+    ]
+    for seed in range(options.train_seeds):
+        for name, given in tasks.items():
+            for arm, (algo, changes) in crew.items():
+                folder = options.out / name / arm / f"seed-{seed}"
+                specs.append(RunSpec(given, arm, algo, changes, seed, int(options.steps), exam, folder))
+    return specs
+
+
+def _varied(arm: str, settings: dict[str, Any], vary: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
+    if not vary:
+        return [(arm, settings)]
+    setting, *values = vary
+    if not values:
+        raise ValueError(f"--vary {setting} names no values; write --vary {setting} VALUE [VALUE ...].")
+    return [(f"{arm}+{setting}={value}", settings | {setting: _parsed(value)}) for value in values]
+
+
+def _parsed(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except json.JSONDecodeError:
+        return value
+
+
+def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
+    """Build the model once.
+
+    Raises:
+        ValueError: A setting that the algorithm does not know or refuses.
+    """
+    import gymnasium as gym
+
+    env = gym.make(env_id(task)) if task in TASK_NAMES else gym.make("CartPole-v1")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # PPO's batch does not suit a single env
+            training.build_model(task, env, algo=algo, **changes)
+    except TypeError as error:
+        raise ValueError(f"{algo} with {changes}: {error}.") from error
+    finally:
+        env.close()
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    return folder
+
+
+class Crew:
+    """Processes that make runs, as many at a time as there are cores.
+
+    Args:
+        specs: Runs to make, in order.
+        size: Processes at a time.
+        seconds: Wall time after which they are stopped; what is stored stays.
+    """
+
+    def __init__(self, specs: Sequence[RunSpec], size: int, *, seconds: float) -> None:
+        self._waiting = list(specs)
+        self._size = size
+        self._deadline = time.monotonic() + seconds
+        self._news: queue.Queue[tuple[RunSpec, dict[str, Any] | None]] = queue.Queue()
+        self._running: dict[str, tuple[RunSpec, subprocess.Popen[str]]] = {}
+        self._steps: dict[str, int] = {}
+        self._texts: dict[str, str] = {}
+        self._lost: list[str] = []
+
+    def work(self) -> bool:
+        """Make the runs.
+
+        Returns:
+            Whether all were finished: not when the time was up, at Ctrl-C, or when a run failed.
+        """
+        total, n_runs, finished = sum(spec.steps for spec in self._waiting), len(self._waiting), 0
+        with tqdm(total=total, unit="step", unit_scale=True, smoothing=0.02, dynamic_ncols=True, mininterval=1) as bar:
+            try:
+                while self._waiting or self._running:
+                    while self._waiting and len(self._running) < self._size:
+                        self._start(self._waiting.pop(0))
+                    try:
+                        spec, news = self._news.get(timeout=min(5.0, max(0.0, self._deadline - time.monotonic())))
+                    except queue.Empty:
+                        if time.monotonic() >= self._deadline:
+                            return False
+                        continue
+                    if news is None:
+                        finished += self._end(spec, bar)
+                    else:
+                        self._hear(spec, news, bar)
+                    bar.set_description_str(f"{finished} of {n_runs} runs", refresh=False)
+                    bar.set_postfix_str(" | ".join(self._texts.values()), refresh=False)
+                    bar.update(0)
+            except KeyboardInterrupt:
+                return False
+            finally:
+                self._stop()
+        for line in self._lost:
+            print(line, file=sys.stderr)
+        return not self._lost
+
+    def _start(self, spec: RunSpec) -> None:
+        spec.folder.mkdir(parents=True, exist_ok=True)
+        with (spec.folder / "log.txt").open("w") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dynaforge.cli.runs", spec.to_json()],
+                stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True,
+            )  # fmt: skip
+        self._running[str(spec.folder)] = spec, process
+        threading.Thread(target=self._listen, args=(spec, process), daemon=True).start()
+
+    def _listen(self, spec: RunSpec, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("{"):
+                self._news.put((spec, json.loads(line)))
+        self._news.put((spec, None))
+
+    def _hear(self, spec: RunSpec, news: dict[str, Any], bar: Any) -> None:
+        key = str(spec.folder)
+        steps = news.get("steps", self._steps.get(key, 0))
+        bar.update(steps - self._steps.get(key, 0))
+        self._steps[key] = steps
+        self._texts[key] = f"{Path(spec.task).stem}/{spec.arm}/{spec.seed} {news['text']}"
+
+    def _end(self, spec: RunSpec, bar: Any) -> bool:
+        _, process = self._running.pop(str(spec.folder))
+        self._texts.pop(str(spec.folder), None)
+        process.wait()
+        log = spec.folder / "log.txt"
+        if process.returncode == 0:
+            log.unlink()
+            return True
+        last = log.read_text().strip().splitlines()[-1:] or ["no message"]
+        self._lost.append(f"{spec.folder} failed with status {process.returncode}: {last[0]} (all of it in {log})")
+        bar.write(self._lost[-1])
+        return False
+
+    def _stop(self) -> None:
+        for _, process in self._running.values():
+            process.terminate()
+        for _, process in self._running.values():
+            process.wait()

@@ -1,0 +1,219 @@
+"""One training run of a comparison: one core, stored as it goes, gone on with after any interruption.
+
+`python -m dynaforge.cli.runs SPEC` (what `dynaforge compare` starts) makes or finishes the run that SPEC, the JSON form
+of a `RunSpec`, describes; each line it prints is a JSON object that tells how far it is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dynaforge.cli.versions import package_versions
+from dynaforge.demos import atomic_write
+from dynaforge.evaluation import STRATA, Probe, TrainingHistory
+from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator
+from dynaforge.sim import Condition
+from dynaforge.tasks import Task, get_task
+
+SAVED_EVERY = 5  # updates, between two of which a kill may fall
+PROBED_EVERY = 5  # updates, between two measurements without exploration
+
+
+@dataclass(frozen=True, slots=True)
+class Exam:
+    """The conditions on which a finished policy is measured.
+
+    Attributes:
+        stream: Condition stream.
+        blocks, attempts: Blocks, and conditions a block.
+    """
+
+    stream: str = "test"
+    blocks: int = 3
+    attempts: int = 100
+
+    def conditions(self, task: Task) -> Iterator[tuple[int, Condition]]:
+        """Iterate over (block, condition)."""
+        for block in range(self.blocks):
+            for condition in islice(task.conditions.stream(self.stream, block), self.attempts):
+                yield block, condition
+
+
+@dataclass(frozen=True, slots=True)
+class RunSpec:
+    """A training run: what it learns, how, and how it is measured.
+
+    Attributes:
+        task: Task name or file.
+        arm: Name in tables.
+        algo: File of zoo_configs.
+        changes: Settings in which the arm differs from that file.
+        seed: Training seed.
+        steps: Environment steps; the update under way is finished.
+        exam: What the final policy is measured on.
+        folder: Where it is stored.
+    """
+
+    task: str
+    arm: str
+    algo: str
+    changes: Mapping[str, Any]
+    seed: int
+    steps: int
+    exam: Exam
+    folder: Path = field(compare=False)
+
+    def to_json(self) -> str:
+        """Return it as one line."""
+        return json.dumps(asdict(self), default=str)
+
+    @staticmethod
+    def from_json(text: str) -> RunSpec:
+        """Read what `to_json` wrote."""
+        data = json.loads(text)
+        return RunSpec(**data | {"exam": Exam(**data["exam"]), "folder": Path(data["folder"])})
+
+    @property
+    def finished(self) -> bool:
+        """Whether it ran to its end, its exam included."""
+        return (self.folder / "exam.json").is_file()
+
+    def check(self) -> None:
+        """Compare with what the folder holds.
+
+        Raises:
+            ValueError: It holds another run.
+        """
+        stored = self.folder / "run.json"
+        if not stored.is_file():
+            return
+        held = json.loads(stored.read_text())["run"]
+        mine = json.loads(self.to_json())
+        differ = [name for name in mine if name != "folder" and mine[name] != held.get(name)]
+        if differ:
+            was, now = ({name: side.get(name) for name in differ} for side in (held, mine))
+            raise ValueError(
+                f"{self.folder} holds a run with {was}, now {now} is asked for. Choose another --out, or remove it."
+            )
+
+
+def arms() -> dict[str, dict[str, Any]]:
+    """Read zoo_configs/compare.yml: arm to its config file and settings."""
+    text = files("dynaforge.zoo_configs").joinpath("compare.yml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))
+
+
+def perform(spec: RunSpec) -> None:
+    """Make the run, or what is missing of it."""
+    from dynaforge.cli import training
+
+    spec.check()
+    spec.folder.mkdir(parents=True, exist_ok=True)
+    settings = training.hyperparameters(spec.algo, spec.task) | dict(spec.changes)
+    about = {"run": json.loads(spec.to_json()), "settings": settings, "versions": package_versions()}
+    atomic_write(spec.folder / "run.json", json.dumps(about, indent=1).encode() + b"\n")
+    task = get_task(spec.task)
+    env = training.training_env(task, settings["n_envs"], cores=1)
+    checkpoint, stored = spec.folder / "model.zip", spec.folder / "history.json"
+    if checkpoint.is_file():
+        model = training.load_model(checkpoint, env, algo=spec.algo, seed=spec.seed)
+        history = TrainingHistory.load(stored).up_to(model.num_timesteps)
+    else:
+        model = training.build_model(spec.task, env, algo=spec.algo, seed=spec.seed, **spec.changes)
+        history = TrainingHistory()
+    prober = Prober(task)
+
+    def policy() -> Any:
+        return training.policy_file(model, spec.task, algo=spec.algo, seed=spec.seed, updates=len(history))
+
+    def between_updates(updates: int) -> bool:
+        last = history.probes[-1].update if history.probes else -1
+        if updates % PROBED_EVERY == 0 and updates > last:
+            steps = history.timesteps[-1] if history.timesteps else 0
+            history.probes.append(prober.probe(policy(), update=updates, timesteps=steps))
+        if updates and updates % SAVED_EVERY == 0:
+            history.save(stored)  # first: a history longer than its checkpoint is cut, a shorter one would have a hole
+            training.save_model(model, checkpoint)
+        if updates:
+            tell(steps=min(history.timesteps[-1], spec.steps), text=training.describe_update(history))
+        return True
+
+    left = spec.steps - model.num_timesteps
+    if left > 0:
+        monitor = training.TrainingMonitor(history, task.conditions.difficulty_range, between_updates)
+        model.learn(left, callback=monitor, reset_num_timesteps=not checkpoint.is_file())
+    env.close()
+    history.save(stored)
+    training.save_model(model, checkpoint)
+    final = policy()
+    final.save(spec.folder / "policy.safetensors")
+    examine(task, ResidualGenerator(final, policy_hash=final.digest), spec.exam, spec.folder / "exam.json")
+    checkpoint.unlink()
+
+
+def examine(task: Task, generator: Generator, exam: Exam, path: Path) -> None:
+    """Measure a generator on an exam's conditions, in this process, and store every outcome."""
+    from dynaforge.envs.residual_env import ResidualEnv
+
+    env = ResidualEnv(task)
+    rows = []
+    for block, condition in exam.conditions(task):
+        try:
+            episode = generator.attempt(env, condition)
+            outcome = "success" if episode.success else episode.failure
+        except Exception as error:  # noqa: BLE001 - an attempt that raises is a failed attempt, never a missing one
+            outcome = f"exception: {type(error).__name__}: {error}"
+        rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})
+        tell(text=f"measuring on {exam.stream}, {len(rows)} of {exam.blocks * exam.attempts}")
+    env.close()
+    data = {"task": task.name, "generator": generator.name, "exam": asdict(exam), "versions": package_versions()}
+    lines = ",\n  ".join(json.dumps(row) for row in rows)
+    text = json.dumps(data, indent=1)[:-2] + f',\n "attempts": [\n  {lines}\n ]\n}}\n'
+    atomic_write(path, text.encode())
+
+
+class Prober:
+    """Measures a policy without exploration on one `val` condition of every stratum, others at every call."""
+
+    def __init__(self, task: Task) -> None:
+        from dynaforge.envs.residual_env import ResidualEnv
+
+        self._task = task
+        self._env = ResidualEnv(task)
+
+    def probe(self, policy: Any, *, update: int, timesteps: int) -> Probe:
+        """Run the episodes; equal updates meet equal conditions, whatever is trained."""
+        generator = ResidualGenerator(policy)
+        conditions = islice(self._task.conditions.stream("val", update, n_strata=STRATA), STRATA)
+        won = [generator.attempt(self._env, condition).success for condition in conditions]
+        return Probe(update, timesteps, won)
+
+
+def tell(**what: Any) -> None:
+    """Report to whoever started this process."""
+    print(json.dumps(what), flush=True)
+
+
+def main() -> int:
+    """Make the run, or measure the planner, that the one argument describes."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    spec = RunSpec.from_json(sys.argv[1])
+    if spec.arm == "planner_only":
+        examine(get_task(spec.task), PlannerOnly(), spec.exam, spec.folder / "exam.json")
+    else:
+        perform(spec)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
