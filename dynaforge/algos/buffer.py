@@ -47,13 +47,12 @@ class KeptTransitions:
             taken, self.actions[index], self.log_probs[index], self.advantages[index], self.weights[index]
         )
 
-    def minibatches(self, batch_size: int | None, rng: np.random.Generator) -> Iterator[KeptTransitions]:
-        """Shuffle and split into equal parts of at most `batch_size`; None is one part, in order.
+    def minibatches(self, parts: int, rng: np.random.Generator) -> Iterator[KeptTransitions]:
+        """Shuffle and split into so many equal parts; a single part stays in order.
 
         Equal parts (sizes differ by one at most) leave no tiny rest whose step would be mostly noise.
         """
         n = len(self)
-        parts = 1 if batch_size is None else -(-n // batch_size)
         if parts == 1:
             yield self
             return

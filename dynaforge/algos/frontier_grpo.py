@@ -20,7 +20,7 @@ from stable_baselines3.common.utils import FloatSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from dynaforge.algos.advantages import group_advantages
-from dynaforge.algos.buffer import GroupRolloutBuffer
+from dynaforge.algos.buffer import GroupRolloutBuffer, KeptTransitions
 from dynaforge.algos.collection import run_jobs
 from dynaforge.algos.options import check_grpo_options
 from dynaforge.algos.outcomes import GroupOutcomes
@@ -63,6 +63,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
         scale_advantage: Divide by the deviation of the "group", of the "batch", or "none".
         loss_agg: Mean over transitions ("step") or over episodes ("episode").
         kl_coef: Weight of KL(old || new), old being the policy at the update's start.
+        anchor_coef: Weight of KL(old || new) on groups that succeeded throughout. The filter drops them, so that
+            nothing holds the policy there; not in the paper, where it is 0.
         target_kl: Ends an update whose approximate KL exceeds 1.5 times this.
         max_grad_norm: Gradient clipping.
         max_episode_steps: Ends longer episodes; needed for envs that never end.
@@ -117,6 +119,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
         scale_advantage: str = "group",
         loss_agg: str = "step",
         kl_coef: float = 0.0,
+        anchor_coef: float = 0.0,
         target_kl: float | None = None,
         max_grad_norm: float = 0.5,
         max_episode_steps: int | None = None,
@@ -159,7 +162,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
         self.clip_range, self.clip_range_high = clip_range, clip_range_high
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
         self.scale_advantage, self.loss_agg = scale_advantage, loss_agg
-        self.kl_coef, self.target_kl = kl_coef, target_kl
+        self.kl_coef, self.anchor_coef, self.target_kl = kl_coef, anchor_coef, target_kl
         self.max_episode_steps, self.timesteps, self.resample_max = max_episode_steps, timesteps, resample_max
 
         # Made here and saved: a resumed run goes on with the stream instead of starting it again.
@@ -300,7 +303,9 @@ class FrontierGRPO(OnPolicyAlgorithm):
                 self.policy.set_training_mode(True)
                 self._update_learning_rate(self.policy.optimizer)
                 settings = self._settings()
-                report = update_policy(self.policy, kept, settings, rng=self.minibatch_rng)
+                report = update_policy(
+                    self.policy, kept, settings, rng=self.minibatch_rng, anchored=self._anchored(keep)
+                )
                 self._log_update(report)
             else:
                 self.skipped_updates += 1
@@ -313,6 +318,13 @@ class FrontierGRPO(OnPolicyAlgorithm):
         watch.log(self.logger, "optimize")
         self._iteration_start = None
 
+    def _anchored(self, keep: NDArray[np.bool_]) -> KeptTransitions | None:
+        """Return the transitions of the groups that were dropped because they succeeded throughout."""
+        outcomes = self._outcomes
+        if not self.anchor_coef or outcomes is None or outcomes.success is None:
+            return None
+        return self.rollout_buffer.keep(outcomes.success.all(axis=1) & ~keep, np.zeros_like(outcomes.returns))
+
     def _settings(self) -> UpdateSettings:
         progress = self._current_progress_remaining
         assert callable(self.clip_range)
@@ -323,6 +335,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
             clip_low=self.clip_range(progress),
             clip_high=self.clip_range_high(progress),
             kl_coef=self.kl_coef,
+            anchor_coef=self.anchor_coef,
             target_kl=self.target_kl,
             max_grad_norm=self.max_grad_norm,
         )

@@ -50,6 +50,7 @@ def check_grpo_options(model: Any) -> None:
     check_at_least("n_epochs", model.n_epochs, 1, "an update passes over its transitions at least once")
     check_at_least("resample_max", model.resample_max, 0, "it is a number of rounds")
     check_at_least("kl_coef", model.kl_coef, 0.0, "it is the weight of a penalty")
+    check_at_least("anchor_coef", model.anchor_coef, 0.0, "it is the weight of a penalty")
     if model.batch_size is not None:
         check_at_least("batch_size", model.batch_size, 1, "use None for the whole update at once")
     if model.max_episode_steps is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 import torch as th
@@ -21,6 +22,7 @@ class UpdateSettings:
     clip_low: float
     clip_high: float
     kl_coef: float
+    anchor_coef: float
     target_kl: float | None
     max_grad_norm: float
 
@@ -49,7 +51,12 @@ class UpdateReport:
 
 
 def update_policy(
-    policy: ActorCriticPolicy, kept: KeptTransitions, settings: UpdateSettings, *, rng: np.random.Generator
+    policy: ActorCriticPolicy,
+    kept: KeptTransitions,
+    settings: UpdateSettings,
+    *,
+    rng: np.random.Generator,
+    anchored: KeptTransitions | None = None,
 ) -> UpdateReport:
     """Improve the policy on the kept transitions.
 
@@ -61,6 +68,8 @@ def update_policy(
         kept: At least one transition.
         settings: Epochs, clip range and so on.
         rng: Order of the minibatches.
+        anchored: Transitions on which the policy shall stay as it is, at weight `settings.anchor_coef`; spread over
+            the minibatches of `kept`, whose number they do not change.
 
     Raises:
         FloatingPointError: Ratio, loss or gradient is NaN or infinite; raised before the optimizer moves.
@@ -72,8 +81,12 @@ def update_policy(
     trained = [parameter for parameter in policy.parameters() if parameter.requires_grad]
     while epochs < settings.n_epochs and not stopped:
         epochs += 1
-        for batch in kept.minibatches(settings.batch_size, rng):
+        parts = kept.minibatches(n_batches, rng)
+        held = repeat(None) if anchored is None else anchored.minibatches(n_batches, rng)
+        for batch, anchor in zip(parts, held, strict=False):
             loss, row = _loss(policy, batch, settings, len(kept) / n_batches)
+            if anchor is not None and len(anchor):
+                loss = loss + settings.anchor_coef * _divergence(policy, anchor).mean()
             figures.append(row)
             if settings.target_kl is not None and float(row[2]) > 1.5 * settings.target_kl:
                 stopped = True
@@ -114,6 +127,12 @@ def _loss(
             "The policy was left as it was before this step; lower learning_rate or set target_kl."
         )
     return loss, row
+
+
+def _divergence(policy: ActorCriticPolicy, batch: KeptTransitions) -> th.Tensor:
+    """Estimate KL(old || new) at each transition from the action taken there, shape (n,); never below 0."""
+    log_ratio = policy.get_distribution(batch.observations).log_prob(batch.actions) - batch.log_probs
+    return (log_ratio.exp() - 1.0) - log_ratio
 
 
 def _refuse_bad_gradient(policy: ActorCriticPolicy, norm: th.Tensor) -> None:
