@@ -38,6 +38,9 @@ with _silent_terminal():
     from pybullet_utils.bullet_client import BulletClient
 
 
+STIFFNESS, DAMPING = 1e6, 2000.0  # N/m, N s/m
+
+
 def connect(*, gui: bool = False) -> Any:
     """Open a physics client of its own, with Bullet's window or without."""
     with _silent_terminal():
@@ -51,6 +54,25 @@ def joints_and_links(client: Any, body: int) -> tuple[dict[str, int], dict[str, 
         info = client.getJointInfo(body, i)
         joints[info[1].decode()] = links[info[12].decode()] = i
     return joints, links
+
+
+def free_link(
+    client: Any, body: int, link: int, *, lateral_friction: float, rolling_friction: float, spinning_friction: float
+) -> None:
+    """Set a link's friction coefficients, and take away Bullet's damping of its motion."""
+    client.changeDynamics(
+        body, link, lateralFriction=lateral_friction, rollingFriction=rolling_friction,
+        spinningFriction=spinning_friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+    )  # fmt: skip
+
+
+def stiffen(client: Any, body: int) -> None:
+    """Make the surface of a body stiff: all that an arm may press an object against.
+
+    Otherwise objects sink up to 20 mm in: the solver ends before it has held up so much heavier an arm.
+    """
+    for link in range(-1, client.getNumJoints(body)):
+        client.changeDynamics(body, link, contactStiffness=STIFFNESS, contactDamping=DAMPING)
 
 
 def pose_of(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:

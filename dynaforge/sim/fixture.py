@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.sim.bullet import joints_and_links, load_asset, pose_of
+from dynaforge.sim.bullet import free_link, joints_and_links, load_asset, pose_of, stiffen
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.spec import Drive, FixtureSpec, Placement
 from dynaforge.sim.state import BodyState
@@ -50,10 +50,11 @@ class Fixture:
     def _configure(self, body: int, joints: dict[str, int]) -> None:
         client, spec = self._client, self.spec
         for link in range(-1, client.getNumJoints(body)):
-            client.changeDynamics(
-                body, link, lateralFriction=spec.lateral_friction, rollingFriction=spec.rolling_friction,
-                spinningFriction=0.0, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+            free_link(
+                client, body, link, lateral_friction=spec.lateral_friction, rolling_friction=spec.rolling_friction,
+                spinning_friction=0.0,
             )  # fmt: skip
+        stiffen(client, body)
         self._efforts = {name: client.getJointInfo(body, index)[10] for name, index in joints.items()}
         if spec.spring is not None:
             client.setJointMotorControl2(

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from dynaforge.geometry import Array
-from dynaforge.sim.bullet import connect, joints_and_links, load_asset, pose_of
+from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asset, pose_of, stiffen
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.fixture import Fixture
@@ -19,7 +19,6 @@ from dynaforge.sim.state import BodyState, SceneState
 POSITION_GAIN = 0.3
 VELOCITY_GAIN = 1.0
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to the motor's own limit
-PAD_STIFFNESS, PAD_DAMPING = 1e6, 2000.0  # N/m, N s/m; the URDF's own 3e4 N/m lets objects sink 19 mm into the fingers
 MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
 PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
 PARKED_STEPS = 10  # substeps at each reset; two were just enough for one object, one was not
@@ -93,8 +92,9 @@ class SimScene:
             client.resetJointState(self.robot_id, joint, robot.width_max / 2)
             client.changeDynamics(
                 self.robot_id, joint, lateralFriction=self.spec.finger_friction, spinningFriction=0.02,
-                rollingFriction=0.0, contactStiffness=PAD_STIFFNESS, contactDamping=PAD_DAMPING,
+                rollingFriction=0.0,
             )  # fmt: skip
+        stiffen(client, self.robot_id)
         # PyBullet ignores <mimic>: without this gear the fingers drift apart under load.
         gear = client.createConstraint(
             self.robot_id, self._fingers[0], self.robot_id, self._fingers[1], p.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3
@@ -106,6 +106,7 @@ class SimScene:
         client = self.client
         self.table_id = load_asset(client, "table/table.urdf", flags=self._flags, fixed=True, position=(0.0, 0.0, 0.0))
         client.changeDynamics(self.table_id, -1, lateralFriction=0.8, rollingFriction=0.0, spinningFriction=0.0)
+        stiffen(client, self.table_id)
         self.body_ids: dict[str, int] = {}
         self._inertia_per_kg: dict[str, list[float]] = {}
         self._free_joints: dict[str, dict[str, int]] = {}
@@ -113,9 +114,9 @@ class SimScene:
             index = load_asset(client, body.urdf, flags=self._flags, fixed=False, position=(0.0, k, PARKING_HEIGHT))
             joints, links = joints_and_links(client, index)
             for link in links.values():
-                client.changeDynamics(
-                    index, link, lateralFriction=body.lateral_friction, rollingFriction=body.rolling_friction,
-                    spinningFriction=body.spinning_friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                free_link(
+                    client, index, link, lateral_friction=body.lateral_friction,
+                    rolling_friction=body.rolling_friction, spinning_friction=body.spinning_friction,
                 )  # fmt: skip
             for joint in joints.values():  # Bullet gives every joint a motor that holds it, and 100 rad/s at most
                 client.changeDynamics(index, joint, maxJointVelocity=MAX_JOINT_SPEED)

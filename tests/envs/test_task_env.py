@@ -45,7 +45,12 @@ def test_joint_references_of_a_success_succeed_again(recorded) -> None:
     actions = [np.float32((*step.reference.q, step.reference.width)) for step in recorded]
     steps, _, reward, info = play(env, [*actions, *[actions[-1]] * 10])
     assert reward == 1.0
-    assert info == {"is_success": True, "failure": "", "condition_id": EASY.id}
+    assert info == {
+        "is_success": True,
+        "failure": "",
+        "condition_id": EASY.id,
+        "difficulty": EASY.difficulty,
+    }
     assert abs(steps - len(recorded)) <= 10
     env.close()
 

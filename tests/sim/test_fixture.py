@@ -94,7 +94,7 @@ def test_what_lies_on_a_fixture_is_carried_by_friction_alone(spec: SceneSpec) ->
     left = []
     for drive in (gentle, fierce):
         states = [
-            state for _, state in ran(replace(spec, launch=lambda _, d=drive: start(d, weight=(0.5, 0.3, 0.071))), 60)
+            state for _, state in ran(replace(spec, launch=lambda _, d=drive: start(d, weight=(0.5, 0.3, 0.0905))), 60)
         ]
         offsets = [s.objects["weight"].pose.position - s.objects["slider"].pose.position for s in states]
         left.append(float(np.ptp(offsets, axis=0)[:2].max()))
@@ -124,7 +124,7 @@ def test_a_condition_picks_the_variant_and_the_others_wait(spec: SceneSpec) -> N
 
 def test_the_same_condition_repeats_after_another_variant_and_contact(spec: SceneSpec) -> None:
     chosen = {"variant": 0}
-    scene = SimScene(replace(spec, launch=lambda _: start(weight=(0.5, 0.3, 0.071), **chosen)))
+    scene = SimScene(replace(spec, launch=lambda _: start(weight=(0.5, 0.3, 0.0905), **chosen)))
 
     def trace() -> bytes:
         scene.reset(CONDITION)
