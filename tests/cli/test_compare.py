@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli import compare, runs
+from dynaforge.cli.main import main
+from dynaforge.cli.runs import Exam, RunSpec
+from dynaforge.evaluation import TrainingHistory
+
+TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}
+
+
+def options(*arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    compare.add_arguments(parser, "compare")
+    return parser.parse_args(arguments)
+
+
+def tiny(folder: Path, **changes: object) -> RunSpec:
+    spec = RunSpec("can", "frontier_grpo", "frontier_grpo", TINY, 0, 300, Exam("val", 1, 2), folder)
+    return replace(spec, **changes)  # type: ignore[arg-type]
+
+
+def test_the_matrix_goes_seed_by_seed(tmp_path: Path) -> None:
+    asked = options("--task", "can", "peach", "--algos", "ppo", "strata", "--train-seeds", "2", "--out", str(tmp_path))
+    specs = compare.matrix(asked)
+    assert [(s.task, s.arm, s.seed) for s in specs] == [
+        ("can", "planner_only", 0), ("peach", "planner_only", 0),
+        *((task, arm, seed) for seed in range(2) for task in ("can", "peach") for arm in ("ppo", "strata")),
+    ]  # fmt: skip
+    assert len({s.folder for s in specs}) == len(specs)
+    assert specs[3].algo == "grpo"
+    assert specs[3].changes == {"stratified": True}
+
+
+def test_a_setting_may_be_varied(tmp_path: Path) -> None:
+    asked = options("--algos", "grpo", "--train-seeds", "1", "--vary", "learning_rate", "1e-3", "2e-3")
+    assert [spec.changes for spec in compare.matrix(asked)[1:]] == [{"learning_rate": 1e-3}, {"learning_rate": 2e-3}]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--algos", "pp"], "No algorithm 'pp' to compare; known are ppo, grpo, frontier_grpo"),
+        (["--task", "cann"], "Did you mean 'can'"),
+        (["--train-seeds", "0"], "--train-seeds is 0; it must be at least 1"),
+        (["--algos", "grpo", "--vary", "learning_rat", "1"], "unexpected keyword argument 'learning_rat'"),
+        (["--algos", "grpo", "--vary", "group_size", "1"], "group_size is 1, but must be at least 2"),
+        (["--vary", "group_size"], "--vary group_size names no values"),
+    ],
+)
+def test_mistakes_are_said_before_any_run(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["compare", *arguments, "--out", str(tmp_path / "runs")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_run_survives_json(tmp_path: Path) -> None:
+    spec = tiny(tmp_path)
+    assert RunSpec.from_json(spec.to_json()) == spec
+    assert RunSpec.from_json(spec.to_json()).folder == spec.folder
+
+
+@pytest.mark.timeout(170)
+def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "SAVED_EVERY", 1)
+    monkeypatch.setattr(runs, "PROBED_EVERY", 2)
+    whole, cut = tiny(tmp_path / "whole"), tiny(tmp_path / "cut")
+    runs.perform(whole)
+    told = 0
+
+    def cut_off(**what: object) -> None:
+        nonlocal told
+        told += 1
+        if told == 2:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "tell", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            runs.perform(cut)
+    assert (cut.folder / "model.zip").is_file()
+    assert not cut.finished
+    runs.perform(cut)
+    assert cut.finished
+    assert not (cut.folder / "model.zip").exists()
+    assert (cut.folder / "policy.safetensors").read_bytes() == (whole.folder / "policy.safetensors").read_bytes()
+    histories = [TrainingHistory.load(spec.folder / "history.json") for spec in (whole, cut)]
+    for name in ("successes", "trials", "groups", "timesteps", "optimizer_steps", "transitions_used", "probes"):
+        assert getattr(histories[0], name) == getattr(histories[1], name), name
+    assert histories[0].timesteps[-1] >= 300
+    assert [probe.update for probe in histories[0].probes][:2] == [0, 2]
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
+    spec = tiny(tmp_path)
+    (tmp_path / "run.json").write_text(json.dumps({"run": json.loads(spec.to_json())}))
+    spec.check()
+    with pytest.raises(ValueError, match=r"holds a run with \{'steps': 300\}, now \{'steps': 400\} is asked for"):
+        replace(spec, steps=400).check()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_compare_runs_reports_and_repeats_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = [
+        "compare",
+        "--algos",
+        "ppo",
+        "grpo",
+        "frontier_grpo",
+        "--train-seeds",
+        "1",
+        "--steps",
+        "1",
+        "--attempts",
+        "2",
+    ]
+    asked += ["--seeds", "1", "--stream", "val", "--out", str(tmp_path)]
+    assert main(asked) == 0
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("exam.json")}
+    assert len(before) == 4
+    assert main(asked) == 0
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("exam.json")} == before
+    assert "4 runs, 4 finished" in capsys.readouterr().out
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/svg+xml") == 5
+    assert "frontier_grpo" in (tmp_path / "table.txt").read_text()

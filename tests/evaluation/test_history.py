@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynaforge.evaluation import Probe, TrainingHistory
+
+
+def history() -> TrainingHistory:
+    return TrainingHistory(
+        successes=[[1, 0], [2, 0], [2, 1]],
+        trials=[[2, 2], [2, 0], [2, 2]],
+        groups=[[1, 1, 0], [1, 0, 1], [0, 1, 1]],
+        timesteps=[10, 25, 40],
+        optimizer_steps=[4, 4, 8],
+        transitions_used=[5, 5, 12],
+        collect_wall=[1.0, 1.5, 2.0],
+        collect_cpu=[1.0, 1.0, 1.0],
+        optimize_wall=[0.5, 0.0, 0.5],
+        optimize_cpu=[0.5, 0.0, 0.5],
+        probes=[Probe(0, 0, [False, False]), Probe(2, 25, [True, False])],
+    )
+
+
+def test_success_is_the_mean_over_the_strata_that_were_tried() -> None:
+    np.testing.assert_allclose(history().success, [0.25, 1.0, 0.75])
+    assert len(history()) == 3
+    assert history().wall_seconds == 5.5
+
+
+def test_what_a_checkpoint_knows_ends_at_its_steps() -> None:
+    part = history().up_to(25)
+    assert part.timesteps == [10, 25]
+    assert part.groups == [[1, 1, 0], [1, 0, 1]]
+    assert [probe.update for probe in part.probes] == [0, 2]
+    assert [probe.update for probe in history().up_to(24).probes] == [0]
+    assert len(history().up_to(9)) == 0
+
+
+def test_it_survives_a_file(tmp_path: Path) -> None:
+    history().save(tmp_path / "history.json")
+    assert TrainingHistory.load(tmp_path / "history.json") == history()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"probes": 3}', '{"successes": []}', '{"probes": [], "unknown": 1}'])
+def test_another_file_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "history.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"history\.json is no training history"):
+        TrainingHistory.load(path)
