@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import torch as th
@@ -118,6 +119,11 @@ def _policy_layers(
 ) -> list[int]:
     if net_arch is None:
         return [] if issubclass(extractor, NatureCNN) else list(DEFAULT_NET_ARCH)
+    if isinstance(net_arch, list) and net_arch and isinstance(net_arch[0], dict):
+        warnings.warn(
+            "net_arch=[dict(...)] is an old form of net_arch=dict(...); its first entry is taken.", stacklevel=4
+        )
+        net_arch = net_arch[0]
     return list(net_arch.get("pi", [])) if isinstance(net_arch, dict) else list(net_arch)
 
 
