@@ -20,6 +20,7 @@ from dynaforge.cli.bench_determinism import one_trajectory, zero_residual
 from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.bench_limits import finger_speed, global_planner
 from dynaforge.cli.bench_speed import control_rate, scene_reset
+from dynaforge.cli.bench_training import collection, trainer
 from dynaforge.cli.bench_vector import vectorised, worker_killed
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write, check_writable
@@ -36,6 +37,8 @@ MEASUREMENTS: dict[str, Measurement] = {
     "reset": lambda task, rounds: scene_reset(task, rounds=rounds),
     "control-steps": lambda task, rounds: control_rate(task, rounds=rounds),
     "vectorised": lambda task, rounds: vectorised(task, rounds=rounds),
+    "trainer": lambda task, rounds: trainer(task, rounds=rounds),
+    "collection": lambda task, rounds: collection(task, rounds=rounds),
     "worker-killed": lambda task, rounds: worker_killed(task, rounds=min(rounds, 3)),
     "global-planner": lambda task, rounds: global_planner(task),
 }

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynaforge.cli import bench, bench_determinism, bench_limits, bench_speed, bench_vector
+from dynaforge.cli import bench, bench_determinism, bench_limits, bench_speed, bench_training, bench_vector
 from dynaforge.cli.bench_episodes import (
     Busy,
     TrajectoryHash,
@@ -250,3 +250,20 @@ def test_a_killed_worker_is_reported_with_its_name_and_leaves_nothing_behind():
     (figure,) = bench_vector.worker_killed(CAN, rounds=1, n_envs=2)
     assert figure.ok, figure
     assert "condition" in figure.raw["kills"][0]["error"]
+
+
+def test_the_trainer_is_measured_against_ppo_on_equal_transitions() -> None:
+    (figure,) = bench_training.trainer(CAN, rounds=1)
+    seconds = figure.raw["cpu_seconds"]
+    assert len(seconds["frontier_grpo"]) == len(seconds["ppo"]) == 2
+    assert all(0 < value < 1e-3 for row in seconds.values() for value in row)
+
+
+def test_a_timed_env_counts_its_steps_alone() -> None:
+    env = bench_training.TimedEnv("can")
+    env.reset(seed=0)
+    assert env.cpu == 0.0
+    start = time.process_time()
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    assert 0.0 < env.cpu <= time.process_time() - start
+    env.close()
