@@ -13,6 +13,9 @@ from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.sim.robot import RobotDescription
 
 
+ARRIVED = 1e-10  # rad, rad/s, rad/s^2
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JointReference:
     """What the joint controller is asked for, due at the end of a control step.
@@ -121,6 +124,21 @@ class LocalPlanner:
 
     def _advance(self, q_goal: Array, width: float) -> JointReference:
         width, width_speed = self._ramp(width)
+        if self._has_arrived(q_goal):
+            q, dq, ddq = q_goal, np.zeros(7), np.zeros(7)
+            self._load(q, dq, ddq)
+        else:
+            q, dq, ddq = self._next(q_goal)
+        self._reference = JointReference(q, dq, ddq, width, width_speed)
+        return self._reference
+
+    def _has_arrived(self, q_goal: Array) -> bool:
+        """Tell whether nothing is left but rounding, of which Ruckig now and then makes NaN."""
+        now = self._reference
+        return all(np.abs(left).max() < ARRIVED for left in (now.dq, now.ddq, q_goal - now.q))
+
+    def _next(self, q_goal: Array) -> Array:
+        """Return position, velocity and acceleration a control step nearer to the goal, shape (3, 7)."""
         self._input.target_position = q_goal.tolist()
         output = self._output
         try:
@@ -130,10 +148,8 @@ class LocalPlanner:
             self._input.synchronization = ruckig.Synchronization.No
             self._solver.update(self._input, output)
             self._input.synchronization = ruckig.Synchronization.Time
-        q, dq, ddq = np.array((output.new_position, output.new_velocity, output.new_acceleration))
         output.pass_to_input(self._input)
-        self._reference = JointReference(q, dq, ddq, width, width_speed)
-        return self._reference
+        return np.array((output.new_position, output.new_velocity, output.new_acceleration))
 
     def _ramp(self, width: float) -> tuple[float, float]:
         """Return the opening one step nearer to the wanted one, and the rate of the step."""
