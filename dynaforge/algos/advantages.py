@@ -1,40 +1,15 @@
-"""The mathematics of FrontierGRPO: returns, advantages, the frontier filter and the clipped loss (Eq. 6-9)."""
+"""The mathematics of FrontierGRPO: advantages, the frontier filter and the clipped loss (Eq. 7-9)."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch as th
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dynaforge.algos.options import ADVANTAGE_SCALES, GROUP_FILTERS, check_choice
 from dynaforge.geometry import Array
 
 RETURN_TOLERANCE = 1e-9  # Differences below this are rounding of reward sums, not outcomes.
-
-
-def episodic_return(success: ArrayLike, checkpoint: ArrayLike, n_checkpoints: int) -> Array:
-    """Score an episode once, at its end: 1 for success, else the share of checkpoints reached.
-
-    Eq. 6: R = y + (1 - y) c / C. Success itself is the C-th checkpoint, so a failure has c < C and never earns 1.
-
-    Args:
-        success: Terminal success y, any shape.
-        checkpoint: Furthest validated checkpoint c in {0..C}, same shape.
-        n_checkpoints: C.
-
-    Raises:
-        ValueError: C < 1, a checkpoint outside 0..C, or a failure that claims the C-th checkpoint.
-    """
-    y, c = np.asarray(success, dtype=bool), np.asarray(checkpoint)
-    if n_checkpoints < 1:
-        raise ValueError(f"n_checkpoints is {n_checkpoints}; a task has at least one, success itself.")
-    if np.any((c < 0) | (c > n_checkpoints)):
-        raise ValueError(f"Checkpoints must lie in 0..{n_checkpoints}; given {c.tolist()}.")
-    if np.any(~y & (c == n_checkpoints)):
-        raise ValueError(
-            f"A failed episode claims checkpoint {n_checkpoints} of {n_checkpoints}, which is success itself."
-        )
-    return np.where(y, 1.0, c / n_checkpoints)
 
 
 def group_advantages(returns: Array, *, scale: str = "group", eps: float = 1e-4) -> Array:

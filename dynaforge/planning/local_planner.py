@@ -12,7 +12,6 @@ from dynaforge.geometry import Array, Pose
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.sim.robot import RobotDescription
 
-
 ARRIVED = 1e-10  # rad, rad/s, rad/s^2
 
 

@@ -4,22 +4,7 @@ import numpy as np
 import pytest
 import torch as th
 
-from dynaforge.algos.advantages import clipped_surrogate, episodic_return, frontier_mask, group_advantages
-
-
-def test_return_is_one_for_success_and_the_share_of_checkpoints_else():
-    np.testing.assert_allclose(episodic_return([True, False, False], [4, 3, 0], 4), [1.0, 0.75, 0.0])
-
-
-def test_success_earns_one_whatever_checkpoint_was_reported():
-    assert episodic_return(True, 1, 4) == 1.0
-
-
-def test_a_failure_that_claims_success_itself_is_refused():
-    with pytest.raises(ValueError, match="checkpoint 4 of 4"):
-        episodic_return(False, 4, 4)
-    with pytest.raises(ValueError, match=r"0\.\.4"):
-        episodic_return(False, 5, 4)
+from dynaforge.algos.advantages import clipped_surrogate, frontier_mask, group_advantages
 
 
 def test_advantages_match_a_group_worked_by_hand():
