@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from statistics import mean
 
 from dynaforge.demos import atomic_write
 from dynaforge.evaluation import COLUMNS, Comparison
@@ -63,11 +64,12 @@ def _figures(comparison: Comparison, task: str, arms: list[str]) -> Iterator[Rep
     yield ReportFigure(
         "Success in training",
         "Exploring episodes, mean over training seeds; lines are means of the last 20 updates, faint traces single "
-        "updates. The dashed line is the planner alone.",
+        "updates. Horizontal: the planner alone, dashed; final policies without exploration, dash-dotted.",
         learning_curve(
             {arm: comparison.curve(task, arm) for arm in arms},
             steps={arm: comparison.steps(task, arm) for arm in arms},
             planner_only=None if math.isnan(planner) else planner,
+            final={arm: mean(comparison.summary(task, arm).rates) for arm in arms},
         ),
     )
     probes = {arm: comparison.probes(task, arm) for arm in arms}

@@ -42,7 +42,7 @@ def learning_curve(
     success: Mapping[str, ArrayLike],
     *,
     planner_only: float | None = None,
-    final: float | None = None,
+    final: float | Mapping[str, float] | None = None,
     steps: Mapping[str, ArrayLike] | None = None,
     window: int = WINDOW,
     fmt: Format = "svg",
@@ -51,7 +51,7 @@ def learning_curve(
 
     Args:
         success: Success fraction of each update, shape (U,), by the name of the run.
-        planner_only, final: Separately measured rates, drawn as horizontal lines.
+        planner_only, final: Separately measured rates, drawn as horizontal lines; `final` one for all or by run.
         steps: Environment steps at each of these updates, to draw over; None draws over updates.
         window: Updates in the trailing mean.
     """
@@ -60,7 +60,10 @@ def learning_curve(
             where = np.arange(1, np.size(values) + 1) if steps is None else np.asarray(steps[name])
             axes.plot(where, np.asarray(values, dtype=float), color=colour, alpha=0.25, linewidth=1)
             axes.plot(where, trailing_mean(values, window), color=colour, linewidth=2.2, label=name)
-        levels = (("planner only", planner_only, "--", GREY), ("final policy", final, "-.", RED))
+            if isinstance(final, Mapping) and name in final:
+                axes.axhline(final[name], color=colour, linestyle="-.", linewidth=1.2)
+        overall = None if isinstance(final, Mapping) else final
+        levels = (("planner only", planner_only, "--", GREY), ("final policy", overall, "-.", RED))
         for label, level, dash, colour in levels:
             if level is not None:
                 axes.axhline(level, color=colour, linestyle=dash, linewidth=1.5, label=f"{label} {level:.0%}")
