@@ -162,7 +162,11 @@ class SimScene:
         for _ in range(PARKED_STEPS):
             self._step_physics()
         client.restoreState(self._saved)
-        for name, start in self.spec.launch(condition).items():
+        starts = self.spec.launch(condition)
+        for name, fixture in self.fixtures.items():
+            if name not in starts:
+                fixture.place(None)
+        for name, start in starts.items():
             if isinstance(start, Placement):
                 self.fixtures[name].place(start)
             else:

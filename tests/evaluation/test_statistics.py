@@ -5,6 +5,7 @@ import pytest
 
 from dynaforge.evaluation import (
     bootstrap_over,
+    bootstrap_over_tasks,
     mcnemar_exact,
     no_bin_lost,
     paired_difference,
@@ -134,3 +135,17 @@ def test_a_bin_is_lost_only_when_its_whole_interval_is_below_minus_ten_points():
     assert no_bin_lost(after, before).holds
     with pytest.raises(ValueError, match="given 8 and 7"):
         no_bin_lost(before, after[:7])
+
+
+def test_a_comparison_over_tasks_is_the_mean_of_theirs():
+    rng = np.random.default_rng(3)
+    weak, strong = rng.random((3, 100)) < 0.4, rng.random((3, 100)) < 0.7
+    one = bootstrap_over(weak, strong, rng=np.random.default_rng(0), resamples=4000)
+    none = bootstrap_over(weak, weak, rng=np.random.default_rng(0), resamples=4000)
+    both = bootstrap_over_tasks([(weak, strong), (weak, weak)], rng=np.random.default_rng(0), resamples=4000)
+    assert both.difference == pytest.approx((one.difference + none.difference) / 2)
+    # Independent tasks: the interval of the mean is that of one by about the root of two narrower.
+    width = both.interval.high - both.interval.low
+    assert 0.5 < width / (one.interval.high - one.interval.low) < 0.95
+    with pytest.raises(ValueError, match="no task"):
+        bootstrap_over_tasks([], rng=rng)
