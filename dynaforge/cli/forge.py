@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -31,7 +32,7 @@ from dynaforge.evaluation import (
     comparison_table,
     paired_difference,
 )
-from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.generators import Generator, Goal, PlannerOnly, ResidualGenerator, collect, run_attempts
 from dynaforge.reports import (
     ReportData,
     ReportFigure,
@@ -195,21 +196,19 @@ def _report(task: Task, attempts: list[Attempt]) -> DgrReport:
 
 def _collect(task: Task, generator: Generator, folder: Path, options: argparse.Namespace) -> DemonstrationDataset:
     dataset = DemonstrationDataset(folder, task=task.name)
-    limit = 20 * options.demos
-    bar = tqdm(total=options.demos, leave=False, unit="demo")
-    conditions = islice(task.conditions.stream("train"), limit)
-    for result in run_attempts(
-        task, generator, conditions, workers=options.workers, stop=lambda: bar.n >= options.demos
-    ):
-        if result.episode is None:
-            dataset.record(result.attempt)
-        else:
-            dataset.add(result.episode, wall_seconds=result.attempt.wall_seconds)
-        bar.update(int(result.attempt.success))
-    bar.close()
-    if bar.n < options.demos:
-        print(f"      only {bar.n} of {limit} attempts succeeded: train longer (--budget)")
+    goal = Goal(options.demos, 20 * options.demos)
+    with tqdm(total=options.demos, leave=False, unit="demo") as bar:
+        attempts = collect(
+            dataset, task, generator, goal, workers=options.workers, tell=lambda attempt: _advance(bar, attempt)
+        )
+    won = sum(attempt.success for attempt in attempts)
+    if won < options.demos:
+        print(f"      only {won} of {len(attempts)} attempts succeeded: train longer (--budget)")
     return dataset
+
+
+def _advance(bar: tqdm[Any], attempt: Attempt) -> None:
+    bar.update(int(attempt.success))
 
 
 def _write(

@@ -14,6 +14,7 @@ COMMANDS = {
     "list": "the tasks",
     "describe": "one task: motion, randomisation, phases, success",
     "evaluate": "demonstration generation rate of a generator on stored condition streams",
+    "collect": "demonstrations into a folder, on all cores; resumes",
     "compare": "train several algorithms on the same tasks and seeds, measure and report; resumes",
     "bench": "the project's figures: speed, determinism, limits",
     "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",

@@ -1,6 +1,7 @@
 """What makes episodes: the planner, the residual policy, the oracle; run on all cores."""
 
 from dynaforge.generators.attempts import Result, run_attempts
+from dynaforge.generators.collect import Goal, Source, collect
 from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.oracle import Oracle
 
@@ -8,9 +9,12 @@ __all__ = [
     "ConstantResidual",
     "Exploring",
     "Generator",
+    "Goal",
     "Oracle",
     "PlannerOnly",
     "ResidualGenerator",
     "Result",
+    "Source",
+    "collect",
     "run_attempts",
 ]

@@ -1,0 +1,104 @@
+"""`dynaforge collect`: demonstrations into a folder; any interruption costs the attempts under way."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from pathlib import Path
+
+from tqdm import tqdm
+
+from dynaforge.cli.evaluate import make_generator
+from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
+from dynaforge.generators import Generator, Goal, Source, collect
+from dynaforge.tasks import TASK_NAMES, get_task
+
+GENERATORS = ("residual", "planner_only")
+SOURCES = "generators.json"  # which policy stands behind each generator's name in a folder
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `collect`."""
+    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
+    parser.add_argument("--demos", type=int, help="stop after so many successes (default 50, without --attempts)")
+    parser.add_argument("--attempts", type=int, help="stop after so many attempts, successful or not")
+    parser.add_argument("--generator", default="residual", choices=GENERATORS, help="what attempts")
+    parser.add_argument("--policy", type=Path, help="policy file for the generator residual; default: the shipped one")
+    parser.add_argument("--seed", type=int, default=0, help="block of the condition stream: another, other conditions")
+    parser.add_argument(
+        "--shard", type=shard, default=(0, 1), metavar="I/N", help="every Nth condition, the I-th first"
+    )
+    parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, help="folder, new or of an earlier run; by default data/TASK")
+
+
+def shard(text: str) -> tuple[int, int]:
+    """Read "I/N", I from 0.
+
+    Raises:
+        argparse.ArgumentTypeError: Something else.
+    """
+    first, _, second = text.partition("/")
+    if not (first.isdigit() and second.isdigit() and int(first) < int(second)):
+        raise argparse.ArgumentTypeError(f"{text!r} is no shard; write 0/4, 1/4, 2/4 or 3/4 for a quarter")
+    return int(first), int(second)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Collect what is missing."""
+    goal = _goal(options)
+    task = get_task(options.task)
+    generator = make_generator(options.generator, task, options)
+    out = options.out or Path("data") / task.name
+    dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
+    _note_policy(out, generator)
+    started, found = time.monotonic(), len(dataset.attempts())
+    if found:
+        print(f"{out} holds {found} attempts; going on")
+    source = Source(options.seed, options.shard)
+    wins = attempts = 0
+    with tqdm(total=goal.demos or goal.attempts, unit="demo" if goal.demos else "attempt", smoothing=0.05) as bar:
+
+        def tell(attempt: Attempt) -> None:
+            nonlocal wins, attempts
+            wins, attempts = wins + attempt.success, attempts + 1
+            bar.set_postfix_str(f"DGR {wins / attempts:.0%} of {attempts}", refresh=False)
+            bar.update(int(attempt.success) if goal.demos else 1)
+
+        try:
+            collect(dataset, task, generator, goal, source=source, workers=options.workers, tell=tell)
+        except KeyboardInterrupt:
+            print(f"\nstopped with {wins} successes in {attempts} attempts; the same command goes on")
+            return 130
+    print(f"{wins} successes in {attempts} attempts, DGR {wins / max(attempts, 1):.1%}; {out}, "
+          f"{(time.monotonic() - started) / 60:.1f} minutes")  # fmt: skip
+    return 0
+
+
+def _goal(options: argparse.Namespace) -> Goal:
+    for name in ("demos", "attempts", "workers"):
+        value = getattr(options, name)
+        if value is not None and value < 1:
+            raise ValueError(f"--{name} is {value}; it must be at least 1.")
+    if options.demos is None and options.attempts is None:
+        return Goal(50, None)
+    return Goal(options.demos, options.attempts)
+
+
+def _note_policy(folder: Path, generator: Generator) -> None:
+    """Keep attempts of different policies apart.
+
+    Raises:
+        ValueError: The folder holds attempts of another policy under the same name.
+    """
+    path = folder / SOURCES
+    known = json.loads(path.read_text()) if path.is_file() else {}
+    digest = getattr(generator, "policy_hash", "")
+    if known.setdefault(generator.name, digest) != digest:
+        raise ValueError(
+            f"{folder} holds attempts of policy {known[generator.name]}, not of {digest}. Choose another --out."
+        )
+    atomic_write(path, json.dumps(known, indent=1).encode() + b"\n")

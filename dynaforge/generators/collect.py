@@ -1,0 +1,108 @@
+"""Collecting demonstrations: attempt conditions of a stream until there are enough; go on after any interruption."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from dynaforge.demos import Attempt, DemonstrationDataset
+from dynaforge.generators.attempts import run_attempts
+from dynaforge.generators.generator import Generator
+from dynaforge.sim import Condition
+from dynaforge.tasks import Task
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """When collecting ends.
+
+    Attributes:
+        demos: Successes wanted; None for any number.
+        attempts: Attempts at most, successful or not; None for any number.
+    """
+
+    demos: int | None
+    attempts: int | None
+
+    def reached(self, done: Sequence[Attempt], under_way: int) -> bool:
+        """Tell whether no other attempt is needed beside those done and those under way."""
+        enough = self.demos is not None and sum(attempt.success for attempt in done) >= self.demos
+        return enough or (self.attempts is not None and len(done) + under_way >= self.attempts)
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Conditions to attempt: a block of a stream, or a share of it.
+
+    Attributes:
+        block: Which block of the stream "train".
+        shard: (i, n): of every n conditions the i-th; collectors with different i never meet.
+    """
+
+    block: int = 0
+    shard: tuple[int, int] = (0, 1)
+
+    def conditions(self, task: Task) -> Iterator[Condition]:
+        """Iterate over the conditions, without end."""
+        i, n = self.shard
+        return islice(task.conditions.stream("train", self.block), i, None, n)
+
+
+def collect(
+    dataset: DemonstrationDataset,
+    task: Task,
+    generator: Generator,
+    goal: Goal,
+    *,
+    source: Source | None = None,
+    workers: int | None = None,
+    tell: Callable[[Attempt], None] = lambda attempt: None,
+) -> list[Attempt]:
+    """Attempt conditions until the goal is reached, each attempt recorded as it ends.
+
+    What the folder holds of this generator counts toward the goal and is not attempted again, so the same call goes on
+    after an interruption, which costs the attempts under way. Attempts under way when the goal is reached are recorded
+    too: whether an attempt counts must not depend on how it ends. So the attempts are a prefix of the stream.
+
+    Args:
+        dataset: Open for adding.
+        task: The task.
+        generator: What attempts.
+        goal: When to end.
+        source: Conditions, by default block 0.
+        workers: Processes; all cores by default.
+        tell: Called with every attempt, those found in the folder first.
+
+    Returns:
+        All attempts of this generator at these conditions that the folder now holds.
+    """
+    held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name}
+    source = source or Source()
+    done: list[Attempt] = []
+    under_way = 0
+
+    def note(attempt: Attempt) -> None:
+        done.append(attempt)
+        tell(attempt)
+
+    def missing() -> Iterator[Condition]:
+        nonlocal under_way
+        for condition in source.conditions(task):
+            if condition.id in held:
+                note(held[condition.id])
+            elif goal.reached(done, under_way):
+                return
+            else:
+                under_way += 1
+                yield condition
+
+    for result in run_attempts(task, generator, missing(), block=source.block, workers=workers):
+        attempt = result.attempt
+        if result.episode is None:
+            dataset.record(attempt)
+        else:
+            dataset.add(result.episode, wall_seconds=attempt.wall_seconds, block=attempt.block)
+        under_way -= 1
+        note(attempt)
+    return done
