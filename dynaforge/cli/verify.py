@@ -1,0 +1,34 @@
+"""`dynaforge verify`: is every byte, value, outcome and, with --replay, every bit of physics as it was recorded?"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tqdm import tqdm
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.replay import Replayer
+from dynaforge.demos.verification import verify
+from dynaforge.tasks import get_task
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `verify`."""
+    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    parser.add_argument("--replay", action="store_true", help="simulate every recording again and compare all states")
+    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Check and print every finding; returns 1 when there is any."""
+    dataset = DemonstrationDataset(options.folder)
+    replayer = Replayer(get_task(options.task_file or dataset.task)) if options.replay else None
+    n, found = len(dataset), 0
+    for findings in tqdm(verify(dataset, replayer=replayer), total=n + 1, leave=False, unit="file"):
+        for finding in findings:
+            tqdm.write(str(finding))
+        found += len(findings)
+    how = "read and simulated again" if options.replay else "read"
+    print(f"{n} episodes {how}, {len(dataset.ledger.attempts())} attempts in the ledger: {found or 'no'} problems")
+    return 1 if found else 0

@@ -1,0 +1,103 @@
+"""Replaying an episode: the same condition and the same joint references must give the same bits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynaforge.demos.episode import Episode
+from dynaforge.sim import SceneState, SimScene
+from dynaforge.tasks import Task
+from dynaforge.tasks.view import PhaseView, heading_frames
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """Where a replay first left the recording.
+
+    Attributes:
+        step: Index of the control step.
+        quantity: Name in the schema.
+        difference: Largest absolute difference of its components.
+    """
+
+    step: int
+    quantity: str
+    difference: float
+
+    def __str__(self) -> str:
+        return f"{self.quantity} differs from step {self.step} on, by {self.difference:.3g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """What a replay found.
+
+    Attributes:
+        divergence: Where it first left the recording; None when every bit agrees.
+        success: Whether the task's success had been held for long enough at its end.
+    """
+
+    divergence: Divergence | None
+    success: bool
+
+
+class Replayer:
+    """Runs recorded joint references through a scene of its own; use it for many episodes of one task.
+
+    Args:
+        task: The task that the episodes are of.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self._scene = SimScene(task.scene)
+
+    def replay(self, episode: Episode) -> Replay:
+        """Simulate an episode again and compare every recorded state.
+
+        Raises:
+            ValueError: The condition is not one of the task, or no joint references were recorded.
+        """
+        references = [episode.steps.get(name) for name in ("joint_reference", "width_reference")]
+        if len(episode) and any(column is None for column in references):
+            raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
+        start = state = self._scene.reset(self.task.conditions.validate(episode.condition))
+        frames, held, divergence = heading_frames(start, None), 0, None
+        last = self.task.phases[-1]
+        for step, (q, width) in enumerate(zip(*references, strict=True) if len(episode) else ()):
+            divergence = divergence or _first_difference(episode, step, state)
+            state = self._scene.step(np.array(q), float(width))
+            frames = heading_frames(state, frames)
+            held = held + 1 if last.done(PhaseView(state, start, start, frames, frames), state.ee) else 0
+        return Replay(divergence, last.is_held(held, self.task.scene.control_dt))
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self._scene.close()
+
+
+def _first_difference(episode: Episode, step: int, state: SceneState) -> Divergence | None:
+    for name, value in _measured(state):
+        recorded = episode.steps.get(name)
+        if recorded is not None and not np.array_equal(recorded[step], value):
+            return Divergence(step, name, float(np.abs(np.asarray(recorded[step]) - value).max()))
+    return None
+
+
+def _measured(state: SceneState) -> Iterator[tuple[str, Any]]:
+    yield "time", state.time
+    yield "q", state.q
+    yield "dq", state.dq
+    yield "ee_position", state.ee.position
+    yield "ee_quat_wxyz", state.ee.quat_wxyz
+    yield "width", state.width
+    for name, body in state.objects.items():
+        for kind in ("object", "fixture"):
+            yield f"{kind}/{name}/position", body.pose.position
+            yield f"{kind}/{name}/quat_wxyz", body.pose.quat_wxyz
+            yield f"{kind}/{name}/velocity", body.velocity
+            yield f"{kind}/{name}/angular_velocity", body.angular_velocity

@@ -1,0 +1,135 @@
+"""Whatever is done to a folder of demonstrations, verify names the file."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from demo_episodes import make_episode
+
+from dynaforge.cli.main import main
+from dynaforge.demos import DemonstrationDataset, Episode, write_episode
+from dynaforge.demos.verification import verify
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> DemonstrationDataset:
+    made = DemonstrationDataset(tmp_path / "data", task="can")
+    for seed in range(4):
+        made.add(make_episode(seed))
+    made.add(make_episode(9, success=False))
+    return made
+
+
+def problems(dataset: DemonstrationDataset) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for findings in verify(dataset):
+        for finding in findings:
+            found.setdefault(finding.path.name, []).append(finding.problem)
+    return found
+
+
+def flip(path: Path, rng: np.random.Generator) -> Path:
+    data = bytearray(path.read_bytes())
+    data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+    path.write_bytes(data)
+    return path
+
+
+def cut(path: Path, rng: np.random.Generator) -> Path:
+    path.write_bytes(path.read_bytes()[: rng.integers(path.stat().st_size)])
+    return path
+
+
+def lose(path: Path, rng: np.random.Generator) -> Path:
+    path.unlink()
+    return path
+
+
+def duplicate(path: Path, rng: np.random.Generator) -> Path:
+    other = path.with_name(f"{rng.integers(16**12):016x}-planner.h5")
+    shutil.copy(path, other)
+    return other
+
+
+def replace_by_another(path: Path, rng: np.random.Generator) -> Path:
+    write_episode(path, make_episode(int(rng.integers(100, 10**6)), task=str(rng.choice(["can", "peach"]))))
+    return path
+
+
+def put_something_else(path: Path, rng: np.random.Generator) -> Path:
+    other = path.with_name(f"notes-{rng.integers(10**6)}.txt")
+    other.write_text("not an episode")
+    return other
+
+
+CORRUPTIONS = (flip, cut, lose, duplicate, replace_by_another, put_something_else)
+
+
+def corrupt_and_find(dataset: DemonstrationDataset, trials: int) -> None:
+    rng = np.random.default_rng(0)
+    assert not problems(dataset)
+    whole = {path: path.read_bytes() for path in (dataset.path / "episodes").iterdir()}
+    for trial in range(trials):
+        corrupt: Callable[[Path, np.random.Generator], Path] = CORRUPTIONS[trial % len(CORRUPTIONS)]
+        harmed = corrupt(list(whole)[int(rng.integers(len(whole)))], rng)
+        assert harmed.name in problems(dataset), (trial, corrupt.__name__)
+        if harmed not in whole:
+            harmed.unlink()
+        for path, content in whole.items():
+            if not path.exists() or path.read_bytes() != content:
+                path.write_bytes(content)
+    assert not problems(dataset)
+
+
+def test_every_corruption_of_a_file_is_found(dataset: DemonstrationDataset) -> None:
+    corrupt_and_find(dataset, 120)
+
+
+@pytest.mark.slow
+def test_a_thousand_corruptions_are_found(dataset: DemonstrationDataset) -> None:
+    corrupt_and_find(dataset, 1000)
+
+
+def test_every_flipped_bit_of_the_ledger_is_found(dataset: DemonstrationDataset) -> None:
+    rng, ledger = np.random.default_rng(1), dataset.ledger.path
+    whole = ledger.read_bytes()
+    for _ in range(60):
+        flip(ledger, rng)
+        assert problems(dataset)
+        ledger.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"q": np.full((20, 7), np.nan)}, "q is not finite at step 0"),
+        ({"reward": np.r_[np.zeros(19), 0.5]}, "its last reward is 0.5, its success True"),
+        ({"reward": np.r_[0.25, np.zeros(18), 1.0]}, "it has a reward before its last step"),
+    ],
+)
+def test_what_was_recorded_wrongly_is_named(
+    dataset: DemonstrationDataset, change: dict[str, np.ndarray], problem: str
+) -> None:
+    episode = make_episode(0)
+    write_episode(dataset.file_of(episode.id), replace(episode, steps=dict(episode.steps) | change))
+    assert problems(dataset) == {f"{episode.id}.h5": [problem]}
+
+
+def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationDataset) -> None:
+    episode: Episode = make_episode(0)
+    write_episode(dataset.file_of(episode.id), replace(episode, success=False, failure="slipped"))
+    assert problems(dataset) == {f"{episode.id}.h5": ["the ledger notes 'success', the file 'slipped'"]}
+
+
+def test_verify_ends_with_0_or_1(dataset: DemonstrationDataset, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(dataset.path)]) == 0
+    assert "4 episodes read, 5 attempts in the ledger: no problems" in capsys.readouterr().out
+    flip(dataset.file_of(dataset.ids()[0]), np.random.default_rng(3))
+    assert main(["verify", str(dataset.path)]) == 1
+    assert dataset.ids()[0] in capsys.readouterr().out
+    assert main(["verify", str(dataset.path / "nowhere")]) == 2
