@@ -1,0 +1,71 @@
+"""`dynaforge info`: what a folder of demonstrations holds, at a glance."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode
+from dynaforge.evaluation import DgrReport
+from dynaforge.tasks import get_task
+
+ACTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `info`."""
+    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print counts, rates, lengths, ranges and size."""
+    dataset = DemonstrationDataset(options.folder)
+    task = get_task(options.task_file or dataset.task)
+    attempts, episodes = dataset.attempts(), list(dataset)
+    size = sum(path.stat().st_size for path in options.folder.rglob("*") if path.is_file())
+    held = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
+    print(f"{options.folder}: {task.env_name}, {held}")
+    if not attempts:
+        return 0
+    for name in sorted({attempt.generator for attempt in attempts}):
+        made = [attempt for attempt in attempts if attempt.generator == name]
+        report = DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=name)
+        print(f"\n{report.table()}\n{_wall(made)}")
+    if episodes:
+        print(f"\n{lengths(episodes)}\n{residuals(episodes)}")
+    return 0
+
+
+def lengths(episodes: Sequence[Episode]) -> str:
+    """Say how long the recordings are."""
+    steps, seconds = [len(e) for e in episodes], [e.duration for e in episodes]
+    return (
+        f"length: {np.median(steps):.0f} control steps ({min(steps)} to {max(steps)}), "
+        f"{np.median(seconds):.1f} s ({min(seconds):.1f} to {max(seconds):.1f}); {sum(steps)} steps in all"
+    )
+
+
+def residuals(episodes: Sequence[Episode]) -> str:
+    """Say how far the residual moved the target while its gate was open."""
+    gated = [
+        e.steps["residual_action"][e.steps["gate"]]
+        for e in episodes
+        if "residual_action" in e.steps and "gate" in e.steps
+    ]
+    if not gated or not sum(map(len, gated)):
+        return "residual: none recorded"
+    rows = np.concatenate(gated)
+    low, middle, high = np.quantile(rows, (0.01, 0.5, 0.99), axis=0)
+    lines = [
+        f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(ACTIONS, low, middle, high, strict=False)
+    ]
+    return "residual while gated (m, rad, m), 1 %, 50 % and 99 % quantile:\n" + "\n".join(lines)
+
+
+def _wall(attempts: Sequence[Attempt]) -> str:
+    timed = [attempt.wall_seconds for attempt in attempts if attempt.wall_seconds]
+    return f"an attempt took {np.median(timed):.2f} s of a core" if timed else ""
