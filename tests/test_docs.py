@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import sys
@@ -10,8 +11,10 @@ from pathlib import Path
 import gymnasium
 import pytest
 
+from dynaforge.algos import FrontierGRPO
 from dynaforge.cli.describe import page_with_picture
 from dynaforge.cli.main import main
+from dynaforge.demos import schema_markdown
 from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import TASK_NAMES, get_task
 
@@ -89,3 +92,25 @@ def test_the_page_of_a_task_is_what_its_data_says(name: str) -> None:
     page = (DOCS / "tasks" / f"{name}.md").read_text()
     assert page == page_with_picture(get_task(name))
     assert (DOCS / "tasks" / f"{name}.png").is_file()
+
+
+def test_the_page_on_datasets_holds_the_schema() -> None:
+    assert schema_markdown() in (DOCS / "datasets.md").read_text()
+
+
+def test_the_page_on_the_algorithm_names_its_options_and_their_defaults() -> None:
+    page = (DOCS / "frontier_grpo.md").read_text()
+    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in page.splitlines() if line.startswith("| `")]
+    shown = {
+        name: value
+        for names, values in rows
+        for name, value in zip(re.findall(r"`(\w+)`", names), values.split(", "), strict=False)
+    }
+    parameters = inspect.signature(FrontierGRPO).parameters
+    known = {name: str(p.default) for name, p in parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY}
+    infrastructure = {"stats_window_size", "tensorboard_log", "policy_kwargs", "verbose", "seed", "device"}
+    assert set(known) - infrastructure - {"_init_setup_model"} <= set(shown)
+    for name, value in shown.items():
+        if name in known and name != "condition_sampler":
+            default = known[name]
+            assert value.strip('"') == default or float(value) == float(default), name
