@@ -83,6 +83,12 @@ class RunSpec:
         data = json.loads(text)
         return RunSpec(**data | {"exam": Exam(**data["exam"]), "folder": Path(data["folder"])})
 
+    def settings(self) -> dict[str, Any]:
+        """Return the hyperparameters: those of zoo_configs and the changes."""
+        from dynaforge.cli.training import hyperparameters
+
+        return hyperparameters(self.algo, self.task) | dict(self.changes)
+
     @property
     def finished(self) -> bool:
         """Whether it ran to its end, its exam included."""
@@ -92,13 +98,14 @@ class RunSpec:
         """Compare with what the folder holds.
 
         Raises:
-            ValueError: It holds another run.
+            ValueError: It holds another run, or one with settings that zoo_configs has no longer.
         """
         stored = self.folder / "run.json"
         if not stored.is_file():
             return
-        held = json.loads(stored.read_text())["run"]
-        mine = json.loads(self.to_json())
+        about = json.loads(stored.read_text())
+        held = about["run"] | {"settings": about["settings"]}
+        mine = json.loads(self.to_json()) | {"settings": json.loads(json.dumps(self.settings()))}
         differ = [name for name in mine if name != "folder" and mine[name] != held.get(name)]
         if differ:
             was, now = ({name: side.get(name) for name in differ} for side in (held, mine))
@@ -119,7 +126,7 @@ def perform(spec: RunSpec) -> None:
 
     spec.check()
     spec.folder.mkdir(parents=True, exist_ok=True)
-    settings = training.hyperparameters(spec.algo, spec.task) | dict(spec.changes)
+    settings = spec.settings()
     about = {"run": json.loads(spec.to_json()), "settings": settings, "versions": package_versions()}
     atomic_write(spec.folder / "run.json", json.dumps(about, indent=1).encode() + b"\n")
     task = get_task(spec.task)

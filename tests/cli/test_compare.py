@@ -101,10 +101,15 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
 
 def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     spec = tiny(tmp_path)
-    (tmp_path / "run.json").write_text(json.dumps({"run": json.loads(spec.to_json())}))
+    about = {"run": json.loads(spec.to_json()), "settings": spec.settings()}
+    (tmp_path / "run.json").write_text(json.dumps(about))
     spec.check()
     with pytest.raises(ValueError, match=r"holds a run with \{'steps': 300\}, now \{'steps': 400\} is asked for"):
         replace(spec, steps=400).check()
+    about["settings"]["learning_rate"] = 7.0  # zoo_configs was changed since
+    (tmp_path / "run.json").write_text(json.dumps(about))
+    with pytest.raises(ValueError, match=r"'learning_rate': 7\.0"):
+        spec.check()
 
 
 @pytest.mark.slow
