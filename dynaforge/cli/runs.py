@@ -83,11 +83,16 @@ class RunSpec:
         data = json.loads(text)
         return RunSpec(**data | {"exam": Exam(**data["exam"]), "folder": Path(data["folder"])})
 
+    def identity(self) -> dict[str, Any]:
+        """Return what makes it this run, as plain JSON data: all but the folder, which may be moved."""
+        return {name: value for name, value in json.loads(self.to_json()).items() if name != "folder"}
+
     def settings(self) -> dict[str, Any]:
         """Return the hyperparameters: those of zoo_configs and the changes."""
         from dynaforge.cli.training import hyperparameters
 
-        return hyperparameters(self.algo, self.task) | dict(self.changes)
+        settings = hyperparameters(self.algo, self.task) | dict(self.changes)
+        return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` says it
 
     @property
     def finished(self) -> bool:
@@ -105,8 +110,8 @@ class RunSpec:
             return
         about = json.loads(stored.read_text())
         held = about["run"] | {"settings": about["settings"]}
-        mine = json.loads(self.to_json()) | {"settings": json.loads(json.dumps(self.settings()))}
-        differ = [name for name in mine if name != "folder" and mine[name] != held.get(name)]
+        mine = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
+        differ = [name for name in mine if mine[name] != held.get(name)]
         if differ:
             was, now = ({name: side.get(name) for name in differ} for side in (held, mine))
             raise ValueError(
@@ -127,7 +132,7 @@ def perform(spec: RunSpec) -> None:
     spec.check()
     spec.folder.mkdir(parents=True, exist_ok=True)
     settings = spec.settings()
-    about = {"run": json.loads(spec.to_json()), "settings": settings, "versions": package_versions()}
+    about = {"run": spec.identity(), "settings": settings, "versions": package_versions()}
     atomic_write(spec.folder / "run.json", json.dumps(about, indent=1).encode() + b"\n")
     task = get_task(spec.task)
     env = training.training_env(task, settings["n_envs"], cores=1)

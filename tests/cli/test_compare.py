@@ -101,7 +101,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
 
 def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     spec = tiny(tmp_path)
-    about = {"run": json.loads(spec.to_json()), "settings": spec.settings()}
+    about = {"run": spec.identity(), "settings": spec.settings()}
     (tmp_path / "run.json").write_text(json.dumps(about))
     spec.check()
     with pytest.raises(ValueError, match=r"holds a run with \{'steps': 300\}, now \{'steps': 400\} is asked for"):
