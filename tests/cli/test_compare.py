@@ -138,3 +138,9 @@ def test_compare_runs_reports_and_repeats_nothing(tmp_path: Path, capsys: pytest
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/svg+xml") == 5
     assert "frontier_grpo" in (tmp_path / "table.txt").read_text()
+
+
+@pytest.mark.parametrize("arm", runs.arms())
+def test_every_arm_builds_its_model(arm: str) -> None:
+    settings = dict(runs.arms()[arm])
+    compare._check_settings(settings.pop("config"), settings, "can")
