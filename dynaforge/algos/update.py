@@ -86,7 +86,8 @@ def update_policy(
         for batch, anchor in zip(parts, held, strict=False):
             loss, row = _loss(policy, batch, settings, len(kept) / n_batches)
             if anchor is not None and len(anchor):
-                loss = loss + settings.anchor_coef * _divergence(policy, anchor).mean()
+                log_prob = policy.get_distribution(anchor.observations).log_prob(anchor.actions)
+                loss = loss + settings.anchor_coef * _divergence(log_prob - anchor.log_probs).mean()
             figures.append(row)
             if settings.target_kl is not None and float(row[2]) > 1.5 * settings.target_kl:
                 stopped = True
@@ -112,12 +113,12 @@ def _loss(
     log_ratio = log_prob - batch.log_probs
     ratio = log_ratio.exp()
     if settings.kl_coef > 0.0:
-        penalty = (batch.weights * ((ratio - 1.0) - log_ratio)).sum() / normaliser
+        penalty = (batch.weights * _divergence(log_ratio)).sum() / normaliser
         loss = surrogate + settings.kl_coef * penalty
     else:
         loss = surrogate
     with th.no_grad():
-        kl = ((ratio - 1.0) - log_ratio).mean()
+        kl = _divergence(log_ratio).mean()
         outside = ((ratio < 1.0 - settings.clip_low) | (ratio > 1.0 + settings.clip_high)).float().mean()
         row = th.stack([loss, surrogate, kl, outside])
     if not bool(th.isfinite(row).all()):
@@ -129,9 +130,8 @@ def _loss(
     return loss, row
 
 
-def _divergence(policy: ActorCriticPolicy, batch: KeptTransitions) -> th.Tensor:
+def _divergence(log_ratio: th.Tensor) -> th.Tensor:
     """Estimate KL(old || new) at each transition from the action taken there, shape (n,); never below 0."""
-    log_ratio = policy.get_distribution(batch.observations).log_prob(batch.actions) - batch.log_probs
     return (log_ratio.exp() - 1.0) - log_ratio
 
 

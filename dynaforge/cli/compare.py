@@ -20,9 +20,8 @@ from typing import Any
 from tqdm import tqdm
 
 from dynaforge.cli import training
-from dynaforge.cli.forge import minutes
+from dynaforge.cli.forge import make_folder, minutes
 from dynaforge.cli.runs import Exam, RunSpec, arms
-from dynaforge.demos import check_writable
 from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
@@ -50,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run what is missing, then write table and report."""
     specs = matrix(options)
-    check_writable(_made(options.out))
+    make_folder(options.out)
     for spec in specs:
         spec.check()
     missing = [spec for spec in specs if not spec.finished]
@@ -139,14 +138,6 @@ def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
         raise ValueError(f"{algo} with {changes}: {error}.") from error
     finally:
         env.close()
-
-
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
-    return folder
 
 
 class Crew:

@@ -81,6 +81,20 @@ def minutes(text: str) -> float:
     return value
 
 
+def make_folder(folder: Path) -> None:
+    """Make the folder of `--out`, or see that it can be written to.
+
+    Raises:
+        ValueError: It cannot be made.
+        PermissionError: It cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    check_writable(folder)
+
+
 def run(options: argparse.Namespace) -> int:
     """Forge demonstrations; see the module's description."""
     started = time.monotonic()
@@ -173,13 +187,9 @@ def _check(options: argparse.Namespace) -> None:
 
 def _new_folder(asked: Path | None, task: str) -> Path:
     folder = asked or next(p for k in count(1) if not (p := Path("runs") / f"{task}-{k}").exists())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    make_folder(folder)
     if any(folder.iterdir()):
         raise ValueError(f"--out {folder} holds other data. Choose a new or empty folder.")
-    check_writable(folder)
     return folder
 
 

@@ -21,7 +21,7 @@ import yaml
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
-from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator
+from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 
@@ -180,11 +180,8 @@ def examine(task: Task, generator: Generator, exam: Exam, path: Path) -> None:
     env = ResidualEnv(task)
     rows = []
     for block, condition in exam.conditions(task):
-        try:
-            episode = generator.attempt(env, condition)
-            outcome = "success" if episode.success else episode.failure
-        except Exception as error:  # noqa: BLE001 - an attempt that raises is a failed attempt, never a missing one
-            outcome = f"exception: {type(error).__name__}: {error}"
+        attempt = attempt_once(env, generator, condition).attempt
+        outcome = "success" if attempt.success else attempt.failure
         rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})
         tell(text=f"measuring on {exam.stream}, {len(rows)} of {exam.blocks * exam.attempts}")
     env.close()

@@ -88,25 +88,19 @@ class ArmSummary:
     Attributes:
         rates: DGR of each training seed.
         optimizer_steps: Made in a run.
-        transitions: Used in losses in a run, each counted once an update.
-        steps: Environment steps of a run.
         collect_cpu, optimize_cpu: Seconds of a run.
         groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
         steps_to_vanilla: Environment steps until the trailing success in training first was what vanilla GRPO's is at
             its end; infinite where it never was.
-        unexplored: Success of the last five probes, without exploration.
         lost_again: Share of strata won without exploration in two probes running and lost in the last two.
     """
 
     rates: tuple[float, ...]
     optimizer_steps: float
-    transitions: float
-    steps: float
     collect_cpu: float
     optimize_cpu: float
     groups: tuple[float, ...]
     steps_to_vanilla: float
-    unexplored: float
     lost_again: float
 
 
@@ -207,13 +201,10 @@ class Comparison:
         return ArmSummary(
             rates=tuple(run.rate for run in self.of(task, arm)),
             optimizer_steps=mean(h.optimizer_steps[-1] for h in histories),
-            transitions=mean(h.transitions_used[-1] for h in histories),
-            steps=mean(h.timesteps[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
             optimize_cpu=mean(sum(h.optimize_cpu) for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
             steps_to_vanilla=mean(_steps_to(h, mean(level)) for h in histories) if level else math.nan,
-            unexplored=mean(float(p[-5:].mean()) for p in probes) if all(map(len, probes)) else math.nan,
             lost_again=mean(_lost_again(p) for p in probes),
         )
 

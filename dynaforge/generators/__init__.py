@@ -1,6 +1,6 @@
 """What makes episodes: the planner, the residual policy, the oracle; run on all cores."""
 
-from dynaforge.generators.attempts import Result, run_attempts
+from dynaforge.generators.attempts import Result, attempt_once, run_attempts
 from dynaforge.generators.collect import Goal, Source, collect
 from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.oracle import Oracle
@@ -15,6 +15,7 @@ __all__ = [
     "ResidualGenerator",
     "Result",
     "Source",
+    "attempt_once",
     "collect",
     "run_attempts",
 ]

@@ -137,11 +137,16 @@ def _start(task: Task, generator: Generator) -> None:
 def _attempt(condition: Condition) -> Result:
     assert _env is not None
     assert _generator is not None
+    return attempt_once(_env, _generator, condition)
+
+
+def attempt_once(env: ResidualEnv, generator: Generator, condition: Condition) -> Result:
+    """Attempt a condition in this process; an exception is a failed attempt with a reason."""
     start = time.perf_counter()
     try:
-        episode = _generator.attempt(_env, condition)
+        episode = generator.attempt(env, condition)
     except Exception as error:  # noqa: BLE001 - an attempt that raises is a failed attempt, never a missing one
-        return _lost(condition, _generator.name, f"exception: {type(error).__name__}: {error}")
+        return _lost(condition, generator.name, f"exception: {type(error).__name__}: {error}")
     return Result(Attempt.of(episode, wall_seconds=time.perf_counter() - start), episode)
 
 
