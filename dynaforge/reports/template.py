@@ -37,23 +37,33 @@ dt { color:var(--soft); } dd { margin:0; overflow-wrap:anywhere; }
 @media print { body { background:#fff; } video { display:none; } }
 """
 
-PAGE = """{% macro outcome(one) -%}
-{% if one.success %}<span class="good">✓ success</span>
-{%- else %}<span class="bad">✗ {{ one.failure }}</span>
-{%- endif %}
-{%- endmacro -%}
-<!doctype html>
+HEAD = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
-<title>{{ data.title }}</title>
+<title>{{ title }}</title>
 <style>{{ style }}</style>
 </head>
 <body>
 <main>
-<header>
+"""
+
+FIGURE = """<figure class="card"><img src="{{ figure.image | image_url }}" alt="{{ figure.title }}">
+<figcaption><b>{{ figure.title }}.</b> {{ figure.caption }}</figcaption></figure>
+"""
+
+PAGE = (
+    """{% macro outcome(one) -%}
+{% if one.success %}<span class="good">✓ success</span>
+{%- else %}<span class="bad">✗ {{ one.failure }}</span>
+{%- endif %}
+{%- endmacro -%}
+{% set title = data.title %}
+"""
+    + HEAD
+    + """<header>
 <h1>{{ data.title }}</h1>
 <p class="soft">task <b>{{ data.task }}</b> · {{ data.date }}</p>
 <pre><code>{{ data.command }}</code></pre>
@@ -90,9 +100,9 @@ PAGE = """{% macro outcome(one) -%}
 <section>
 <h2>Figures</h2>
 {% for figure in data.figures %}
-<figure class="card"><img src="{{ figure.image | image_url }}" alt="{{ figure.title }}">
-<figcaption><b>{{ figure.title }}.</b> {{ figure.caption }}</figcaption></figure>
-{% endfor %}
+"""
+    + FIGURE
+    + """{% endfor %}
 </section>
 {% endif %}
 
@@ -154,19 +164,11 @@ PAGE = """{% macro outcome(one) -%}
 </body>
 </html>
 """
+)
 
-COMPARISON = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,">
-<title>{{ title }}</title>
-<style>{{ style }}</style>
-</head>
-<body>
-<main>
-<header>
+COMPARISON = (
+    HEAD
+    + """<header>
 <h1>{{ title }}</h1>
 <p class="soft">{{ date }}</p>
 <pre><code>{{ command }}</code></pre>
@@ -190,9 +192,9 @@ COMPARISON = """<!doctype html>
 </table></div>
 {% endif %}
 {% for figure in section.figures %}
-<figure class="card"><img src="{{ figure.image | image_url }}" alt="{{ figure.title }}">
-<figcaption><b>{{ figure.title }}.</b> {{ figure.caption }}</figcaption></figure>
-{% endfor %}
+"""
+    + FIGURE
+    + """{% endfor %}
 </section>
 {% endfor %}
 <section>
@@ -207,3 +209,4 @@ COMPARISON = """<!doctype html>
 </body>
 </html>
 """
+)
