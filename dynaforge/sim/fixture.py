@@ -78,6 +78,12 @@ class Fixture:
         if unknown := sorted(set(drives) - set(self.spec.driven)):
             raise ValueError(f"Fixture {self.spec.name!r} drives {self.spec.driven}, not {unknown}.")
         self._motors = [(joints[name], drives.get(name, STANDING), self._efforts[name]) for name in self.spec.driven]
+        # Bullet solves all bodies in one go: the motor of a variant that waits would change the bits of the others.
+        for body, its_joints in zip(self.variants, self._joints, strict=True):
+            for name in self.spec.driven:
+                self._client.setJointMotorControl2(
+                    body, its_joints[name], p.VELOCITY_CONTROL, targetVelocity=0.0, force=self._efforts[name]
+                )
         if placement is None:
             return
         w, x, y, z = placement.pose.quat_wxyz.tolist()

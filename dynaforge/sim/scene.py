@@ -22,6 +22,7 @@ FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to 
 MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
 PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
 PARKED_STEPS = 10  # substeps at each reset; two were just enough for one object, one was not
+NOTHING, ANYTHING = (0, 0), (1, -1)  # collision group and mask, the second as Bullet itself gives them
 
 
 class SimScene:
@@ -53,6 +54,11 @@ class SimScene:
         self._load_robot()
         self._load_bodies()
         self._load_fixtures()
+        self._colliding = [
+            (body, link)
+            for body in (self.robot_id, *self.body_ids.values())
+            for link in range(0 if body == self.robot_id else -1, self.client.getNumJoints(body))
+        ]
         self._saved = self.client.saveState()
         self._bind_hot_calls()
         n = spec.substeps
@@ -157,10 +163,13 @@ class SimScene:
         """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches."""
         client = self.client
         client.restoreState(self._saved)
-        # Steps with the bodies parked drop the pairs once in contact, whose caches would live on. Bullet looks at one
-        # or a few of its pairs a step, so it takes several to have looked at all of them.
+        # Bullet's broad phase remembers: pairs once in contact keep their caches, and the place in its list of pairs
+        # where it goes on looking for stale ones decides when they go, so which bodies are solved in one group, so the
+        # last bits. Steps with the bodies parked and the robot colliding with nothing empty the list and set it back.
+        self._let_collide(NOTHING)
         for _ in range(PARKED_STEPS):
             self._step_physics()
+        self._let_collide(ANYTHING)
         client.restoreState(self._saved)
         starts = self.spec.launch(condition)
         for name, fixture in self.fixtures.items():
@@ -174,6 +183,10 @@ class SimScene:
         self._time = 0.0
         self._q_reference = self.robot.q_ready
         return self.observe()
+
+    def _let_collide(self, group_and_mask: tuple[int, int]) -> None:
+        for body, link in self._colliding:
+            self.client.setCollisionFilterGroupMask(body, link, *group_and_mask)
 
     def _launch(self, name: str, launch: Launch) -> None:
         client, body, joints = self.client, self.body_ids[name], self._free_joints[name]

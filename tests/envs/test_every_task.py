@@ -43,13 +43,32 @@ def elsewhere() -> dict[str, str]:
     return dict(zip(TASK_NAMES, done.stdout.split(), strict=True))
 
 
+def left_in_the_middle(env: Traced, name: str, seed: int) -> None:
+    """Begin an episode of another condition with random actions: a history that the next one must not show."""
+    env.action_space.seed(seed)
+    env.reset(options={"condition": chosen(name, 1 + seed % 3)})
+    for _ in range(5):
+        if env.step(env.action_space.sample())[2]:
+            break
+
+
 @pytest.mark.parametrize("name", TASK_NAMES)
 def test_one_condition_gives_one_trajectory(name: str, elsewhere: dict[str, str]) -> None:
     env = Traced(ResidualEnv(name))
     first = run(env, chosen(name), scale=0.1)[0]
     run(env, chosen(name, 3), scale=0.8)
-    env.reset(options={"condition": chosen(name, 1)})
-    for _ in range(5):
-        env.step(env.action_space.sample())  # left in the middle
-    assert run(env, chosen(name), scale=0.1)[0] == first == elsewhere[name]
+    for seed in (7, 19, 42):
+        left_in_the_middle(env, name, seed)
+        assert run(env, chosen(name), scale=0.1)[0] == first == elsewhere[name]
+    env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_no_history_shows(name: str) -> None:
+    env = Traced(ResidualEnv(name))
+    first = run(env, chosen(name), scale=0.1)[0]
+    for seed in range(100):
+        left_in_the_middle(env, name, seed)
+        assert run(env, chosen(name), scale=0.1)[0] == first, seed
     env.close()
