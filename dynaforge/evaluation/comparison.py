@@ -22,7 +22,7 @@ from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_
 from dynaforge.geometry import Array
 
 PLANNER = "planner_only"
-COLUMNS = ("seeds", "DGR %", "std", "against", "95 %", "opt. steps", "steps to", "sim", "opt.")
+COLUMNS = ("seeds", "DGR %", "std", "against", "95 %", "opt. steps", "steps to", "used", "sim", "opt.", "wall")
 VANILLA = "grpo"
 
 
@@ -88,7 +88,9 @@ class ArmSummary:
     Attributes:
         rates: DGR of each training seed.
         optimizer_steps: Made in a run.
+        transitions_used: Transitions of a run that entered losses.
         collect_cpu, optimize_cpu: Seconds of a run.
+        wall: Seconds of a run, on the one core it has.
         groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
         steps_to_vanilla: Environment steps until the trailing success in training first was what vanilla GRPO's is at
             its end; infinite where it never was.
@@ -97,8 +99,10 @@ class ArmSummary:
 
     rates: tuple[float, ...]
     optimizer_steps: float
+    transitions_used: float
     collect_cpu: float
     optimize_cpu: float
+    wall: float
     groups: tuple[float, ...]
     steps_to_vanilla: float
     lost_again: float
@@ -201,8 +205,10 @@ class Comparison:
         return ArmSummary(
             rates=tuple(run.rate for run in self.of(task, arm)),
             optimizer_steps=mean(h.optimizer_steps[-1] for h in histories),
+            transitions_used=mean(h.transitions_used[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
             optimize_cpu=mean(sum(h.optimize_cpu) for h in histories),
+            wall=mean(h.wall_seconds for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
             steps_to_vanilla=mean(_steps_to(h, mean(level)) for h in histories) if level else math.nan,
             lost_again=mean(_lost_again(p) for p in probes),
@@ -224,7 +230,7 @@ class Comparison:
             shared = self.complete_tasks(arm)
             if len(shared) > 1:
                 grid.add_row(f"mean of {len(shared)}", arm, *self.cells(arm, shared))
-        console = Console(file=io.StringIO(), width=140, color_system=None, force_terminal=False)
+        console = Console(file=io.StringIO(), width=160, color_system=None, force_terminal=False)
         with console.capture() as capture:
             console.print(grid)
         rows = "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
@@ -237,8 +243,8 @@ class Comparison:
             f"DGR of the final policy without exploration on {exam['blocks']} x {exam['attempts']} conditions of "
             f"{exam['stream']}, mean and std over training seeds;\nagainst {self.reference} in points, 95 % bootstrap "
             f"over training seeds and conditions; optimizer steps and environment steps to {self.reference}'s\nfinal "
-            "success in training, both as a ratio to it ('-': not reached by every seed); CPU minutes of simulation "
-            "and of optimisation a run."
+            "success in training, both as a ratio to it ('-': not reached by every seed); of a run: thousands of "
+            "transitions\nthat entered losses, CPU minutes of simulation and of optimisation, wall minutes on one core."
         )
 
     def cells(self, arm: str, tasks: Sequence[str]) -> list[str]:
@@ -260,8 +266,12 @@ class Comparison:
                 f"{100 * found.difference:+.1f}", f"{100 * low:+.1f} to {100 * high:+.1f}", f"{updates:.2f} x",
                 f"{reached:.2f} x" if math.isfinite(reached) else "-",
             ]  # fmt: skip
-        simulation, optimisation = (mean(getattr(s, f"{what}_cpu") for s in mine) for what in ("collect", "optimize"))
-        return [*cells, *compared, f"{simulation / 60:.1f}", f"{optimisation / 60:.2f}"]
+        used, simulation, optimisation, wall = (
+            mean(getattr(s, name) for s in mine)
+            for name in ("transitions_used", "collect_cpu", "optimize_cpu", "wall")
+        )
+        costs = [f"{used / 1000:.1f}", f"{simulation / 60:.1f}", f"{optimisation / 60:.2f}", f"{wall / 60:.1f}"]
+        return [*cells, *compared, *costs]
 
     def _histories(self, task: str, arm: str) -> list[TrainingHistory]:
         return [run.history for run in self.of(task, arm) if run.history is not None]

@@ -61,6 +61,8 @@ def test_the_figures_of_an_arm() -> None:
     assert summary.rates == (0.9, 0.9)
     assert summary.optimizer_steps == 10
     assert summary.collect_cpu == 240.0
+    assert summary.transitions_used == 40
+    assert summary.wall == 8.0
     assert summary.groups == (0.25, 0.5, 0.25)
     # Vanilla ends at a trailing mean of (0 + .2 + .4 + .4) / 4 = .25, which the fast run has after its first update.
     assert summary.steps_to_vanilla == 100.0
