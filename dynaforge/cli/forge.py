@@ -167,7 +167,8 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
         model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
         limit = TimeLimit(history, seconds=seconds, updates=options.updates)
         try:
-            model.learn(10**12, callback=TrainingMonitor(history, task.conditions.difficulty_range, between_updates))
+            monitor = TrainingMonitor(history, task.conditions.difficulty_range, between_updates)
+            model.learn(int(settings["n_timesteps"]), callback=monitor)
         except KeyboardInterrupt:
             interrupted = True
         finally:

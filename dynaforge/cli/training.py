@@ -16,6 +16,7 @@ import yaml
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
@@ -76,8 +77,15 @@ def build_model(
     """
     options = hyperparameters(algo, task) | changes
     policy = options["policy"]
-    kept = {name: value for name, value in options.items() if name not in NOT_THE_MODEL}
+    kept = {name: _scheduled(value) for name, value in options.items() if name not in NOT_THE_MODEL}
     return ALGORITHMS[algo](policy, env, seed=seed, device="cpu", **kept)
+
+
+def _scheduled(value: Any) -> Any:
+    """Turn "lin_1e-3" into a linear decay to zero over the run, as rl-zoo configs mean it."""
+    if isinstance(value, str) and value.startswith("lin_"):
+        return LinearSchedule(start=float(value.removeprefix("lin_")), end=0.0, end_fraction=1.0)
+    return value
 
 
 def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
