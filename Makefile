@@ -39,5 +39,6 @@ $(STAMP): setup.cfg pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,dev]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,dev]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic  # its reader, not its vision models
 	@touch $(STAMP)

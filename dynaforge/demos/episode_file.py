@@ -44,7 +44,7 @@ def write_episode(path: str | Path, episode: Episode) -> None:
         OSError: The folder is missing or not writable, or the disk is full.
     """
     body = _encode(episode)
-    atomic_write(path, _seal(body) + body)
+    atomic_write(path, seal(body) + body)
 
 
 def read_episode(path: str | Path) -> Episode:
@@ -55,11 +55,7 @@ def read_episode(path: str | Path) -> Episode:
         DamagedFileError: The file was altered, cut off, or is no episode.
     """
     data = Path(path).read_bytes()
-    seal, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
-    if not seal.startswith(_MAGIC):
-        raise DamagedFileError(path, "it does not begin as an episode file")
-    if seal != _seal(body):
-        raise DamagedFileError(path, "its bytes do not match the hash they were written with")
+    check_seal(path, data)
     try:
         header, steps, content_hash = _decode(data)
         episode = Episode.from_header(header, steps)
@@ -70,9 +66,23 @@ def read_episode(path: str | Path) -> Episode:
     return episode
 
 
-def _seal(body: bytes) -> bytes:
+def seal(body: bytes) -> bytes:
+    """Return the user block that stands before the bytes of a file."""
     line = b"%s %d %s %d\n" % (_MAGIC, FORMAT_VERSION, hashlib.sha256(body).hexdigest().encode(), len(body))
     return line.ljust(_USER_BLOCK, b"\0")
+
+
+def check_seal(path: str | Path, data: bytes) -> None:
+    """Check every byte of a file against its user block.
+
+    Raises:
+        DamagedFileError: The file was altered, cut off, or never had one.
+    """
+    block, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
+    if not block.startswith(_MAGIC):
+        raise DamagedFileError(path, "it does not begin as an episode file")
+    if block != seal(body):
+        raise DamagedFileError(path, "its bytes do not match the hash they were written with")
 
 
 def _encode(episode: Episode) -> bytes:

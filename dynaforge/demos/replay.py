@@ -50,11 +50,12 @@ class Replayer:
 
     Args:
         task: The task that the episodes are of.
+        visuals: Load visual shapes, as `SimScene` takes them; physics is the same.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, *, visuals: bool | str = False) -> None:
         self.task = task
-        self._scene = SimScene(task.scene)
+        self.scene = SimScene(task.scene, visuals=visuals)
 
     def replay(self, episode: Episode) -> Replay:
         """Simulate an episode again and compare every recorded state.
@@ -62,25 +63,40 @@ class Replayer:
         Raises:
             ValueError: The condition is not one of the task, or no joint references were recorded.
         """
-        references = [episode.steps.get(name) for name in ("joint_reference", "width_reference")]
-        if len(episode) and any(column is None for column in references):
-            raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
-        start = state = self._scene.reset(self.task.conditions.validate(episode.condition))
-        frames, held, divergence = heading_frames(start, None), 0, None
+        states = self.states(episode)
+        start = next(states)
+        frames, held, divergence = heading_frames(start, None), 0, first_difference(episode, 0, start)
         last = self.task.phases[-1]
-        for step, (q, width) in enumerate(zip(*references, strict=True) if len(episode) else ()):
-            divergence = divergence or _first_difference(episode, step, state)
-            state = self._scene.step(np.array(q), float(width))
+        for step, state in enumerate(states, 1):
+            divergence = divergence or first_difference(episode, step, state)
             frames = heading_frames(state, frames)
             held = held + 1 if last.done(PhaseView(state, start, start, frames, frames), state.ee) else 0
         return Replay(divergence, last.is_held(held, self.task.scene.control_dt))
 
+    def states(self, episode: Episode) -> Iterator[SceneState]:
+        """Simulate an episode again: yields the state at the beginning of each step and the one after the last.
+
+        While the caller looks at a state, `scene` is in it.
+
+        Raises:
+            ValueError: As `replay`.
+        """
+        references = [episode.steps.get(name) for name in ("joint_reference", "width_reference")]
+        if len(episode) and any(column is None for column in references):
+            raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
+        yield self.scene.reset(self.task.conditions.validate(episode.condition))
+        for q, width in zip(*references, strict=True) if len(episode) else ():
+            yield self.scene.step(np.array(q), float(width))
+
     def close(self) -> None:
         """Release physics; legal twice."""
-        self._scene.close()
+        self.scene.close()
 
 
-def _first_difference(episode: Episode, step: int, state: SceneState) -> Divergence | None:
+def first_difference(episode: Episode, step: int, state: SceneState) -> Divergence | None:
+    """Compare a state with the recording of a step; None where they agree, and after the last step."""
+    if step >= len(episode):
+        return None
     for name, value in _measured(state):
         recorded = episode.steps.get(name)
         if recorded is not None and not np.array_equal(recorded[step], value):

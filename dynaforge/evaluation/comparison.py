@@ -267,8 +267,7 @@ class Comparison:
                 f"{reached:.2f} x" if math.isfinite(reached) else "-",
             ]  # fmt: skip
         used, simulation, optimisation, wall = (
-            mean(getattr(s, name) for s in mine)
-            for name in ("transitions_used", "collect_cpu", "optimize_cpu", "wall")
+            mean(getattr(s, name) for s in mine) for name in ("transitions_used", "collect_cpu", "optimize_cpu", "wall")
         )
         costs = [f"{used / 1000:.1f}", f"{simulation / 60:.1f}", f"{optimisation / 60:.2f}", f"{wall / 60:.1f}"]
         return [*cells, *compared, *costs]

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,6 +76,17 @@ def stiffen(client: Any, body: int) -> None:
     """
     for link in range(-1, client.getNumJoints(body)):
         client.changeDynamics(body, link, contactStiffness=STIFFNESS, contactDamping=DAMPING)
+
+
+@contextlib.contextmanager
+def plain_urdf(urdf: Path) -> Iterator[Path]:
+    """Write a copy of the robot's URDF whose links look as they collide; it is there while the context lasts."""
+    meshes = urdf.parent / "meshes" / "collision"
+    text = re.sub(r'"package://meshes/\w+/(\w+\.obj)"', rf'"{meshes}/\1"', urdf.read_text())
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / urdf.name
+        plain.write_text(text)
+        yield plain
 
 
 def pose_of(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:

@@ -1,0 +1,126 @@
+"""`dynaforge render`: pictures and point clouds of collected episodes, in a second pass; resumes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+from tqdm import tqdm
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.observations import (
+    FOLDER,
+    WORKSPACE,
+    ObservationFolder,
+    ObservationRenderer,
+    ObservationSettings,
+    standard_cameras,
+    write_observations,
+)
+from dynaforge.envs.processes import single_threaded, worker_context
+from dynaforge.sim.camera import Camera
+from dynaforge.tasks import Task, get_task
+
+AT_A_TIME = 8  # episodes handed to a worker
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `render`."""
+    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    parser.add_argument("--cameras", nargs="+", default=["front", "wrist"], help="of front, side, wrist, or your own")
+    parser.add_argument(
+        "--camera-file", type=Path, help="JSON list of cameras of your own: name, eye, look_at, up, in_hand, size, fov"
+    )
+    parser.add_argument("--size", nargs=2, type=int, metavar=("W", "H"), help="pixels (default 128 128)")
+    parser.add_argument("--points", type=int, default=0, help="size of the point clouds, e.g. 1024; 0 for none")
+    parser.add_argument("--no-images", action="store_true", help="keep the point clouds only")
+    parser.add_argument(
+        "--workspace", nargs=6, type=float, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        default=[*WORKSPACE[0], *WORKSPACE[1]], help="box that the points are cropped to, metres",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, help=f"folder of the observations (default: {FOLDER}/ in the dataset's)")
+    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Render what is missing."""
+    dataset = DemonstrationDataset(options.folder)
+    task = get_task(options.task_file or dataset.task)
+    settings = _settings(options, task)
+    if settings.points:
+        _need_fpsample()
+    folder = ObservationFolder(options.out or options.folder / FOLDER, settings)
+    names = dataset.ids()
+    missing = folder.missing(names)
+    print(f"{len(names)} episodes, {len(names) - len(missing)} rendered; stored in {folder.path}")
+    failed = 0
+    for name, problem in tqdm(_render(options, task, folder, missing), total=len(missing), unit="episode"):
+        if problem:
+            failed += 1
+            tqdm.write(f"{dataset.file_of(name)}: {problem}")
+    print(f"{len(missing) - failed} rendered" + (f", {failed} could not be" if failed else ""))
+    return 1 if failed else 0
+
+
+def _need_fpsample() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("fpsample") is None:
+        raise ImportError("Point clouds need fpsample: pip install 'dynaforge[data]'.")
+
+
+def _settings(options: argparse.Namespace, task: Task) -> ObservationSettings:
+    known = standard_cameras(task)
+    if options.camera_file:
+        listed = [Camera.from_dict(entry) for entry in json.loads(options.camera_file.read_text())]
+        known |= {camera.name: camera for camera in listed}
+    if unknown := [name for name in options.cameras if name not in known]:
+        raise ValueError(f"No camera {', '.join(unknown)}; there are {', '.join(known)}.")
+    cameras = [known[name] for name in options.cameras]
+    if options.size:
+        cameras = [replace(camera, size=tuple(options.size)) for camera in cameras]
+    low, high = tuple(options.workspace[:3]), tuple(options.workspace[3:])
+    return ObservationSettings(tuple(cameras), not options.no_images, options.points, (low, high))
+
+
+_renderer: ObservationRenderer | None = None
+_dataset: DemonstrationDataset | None = None
+_folder: ObservationFolder | None = None
+
+
+def _render(
+    options: argparse.Namespace, task: Task, folder: ObservationFolder, names: list[str]
+) -> Iterator[tuple[str, str]]:
+    """Render episodes on all cores; yields (id, problem or "") as they are done."""
+    if not names:
+        return
+    start = (options.folder, folder.path, task)
+    with single_threaded(), ProcessPoolExecutor(
+        options.workers, mp_context=worker_context(), initializer=_start, initargs=start
+    ) as pool:  # fmt: skip
+        yield from zip(names, pool.map(_render_one, names, chunksize=AT_A_TIME), strict=True)
+
+
+def _start(data: Path, observations: Path, task: Task) -> None:
+    global _renderer, _dataset, _folder
+    _dataset, _folder = DemonstrationDataset(data), ObservationFolder(observations)
+    assert _folder.settings is not None
+    _renderer = ObservationRenderer(task, _folder.settings)
+
+
+def _render_one(name: str) -> str:
+    assert _renderer is not None
+    assert _dataset is not None
+    assert _folder is not None
+    try:
+        episode = _dataset[name]
+        write_observations(_folder.file_of(name), episode, _renderer.render(episode), _renderer.things())
+    except (ValueError, OSError) as error:
+        return str(error)
+    return ""

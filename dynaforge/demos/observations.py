@@ -1,0 +1,245 @@
+"""What cameras would have seen of an episode, rendered afterwards: colour, depth, segmentation, point clouds."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos.atomic import atomic_write
+from dynaforge.demos.episode import Episode
+from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, seal
+from dynaforge.demos.replay import Replayer, first_difference
+from dynaforge.geometry import Array
+from dynaforge.sim.camera import Camera, Image, see, world_points
+from dynaforge.tasks import Task
+
+WORKSPACE = ((0.15, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
+FOLDER = "observations"
+SETTINGS = "settings.json"
+WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
+
+
+def standard_cameras(task: Task) -> dict[str, Camera]:
+    """Return the cameras that every task has, by name: where its clips are filmed from, its mirror, and the hand."""
+    eye, look_at = task.camera
+    return {
+        "front": Camera("front", eye, look_at),
+        "side": Camera("side", (eye[0], -eye[1], eye[2]), look_at),
+        "wrist": WRIST,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationSettings:
+    """What is rendered of each control step.
+
+    Attributes:
+        cameras: From where.
+        images: Keep colour, depth and segmentation of each camera.
+        points: Size of the point cloud of all cameras together; 0 for none.
+        workspace: Corners of the box that the points are cropped to, metres, world frame.
+    """
+
+    cameras: tuple[Camera, ...]
+    images: bool = True
+    points: int = 0
+    workspace: tuple[tuple[float, float, float], tuple[float, float, float]] = WORKSPACE
+
+    def __post_init__(self) -> None:
+        names = [camera.name for camera in self.cameras]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"Observations need at least one camera, and names that differ; given {names}.")
+        if self.points < 0 or not (self.images or self.points):
+            raise ValueError("Nothing to render: keep the images, or ask for at least one point.")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON data, with the intrinsics for readers that know no field of view."""
+        cameras = [camera.to_dict() | {"intrinsics": camera.intrinsics.tolist()} for camera in self.cameras]
+        return {"cameras": cameras, "images": self.images, "points": self.points, "workspace": self.workspace}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ObservationSettings:
+        """Read what `to_dict` wrote."""
+        cameras = tuple(
+            Camera.from_dict({k: v for k, v in camera.items() if k != "intrinsics"}) for camera in data["cameras"]
+        )
+        low, high = (tuple(corner) for corner in data["workspace"])
+        return ObservationSettings(cameras, data["images"], data["points"], (low, high))
+
+
+class ObservationRenderer:
+    """Simulates episodes of one task again and takes pictures on the way.
+
+    Args:
+        task: The task.
+        settings: What to render.
+
+    Raises:
+        ImportError: `fpsample`, of the `[data]` extra, is missing and points are wanted.
+    """
+
+    def __init__(self, task: Task, settings: ObservationSettings) -> None:
+        self._settings = settings
+        self._low, self._high = (np.array(corner) for corner in settings.workspace)
+        self._thin = farthest_points if settings.points else None
+        self._replayer = Replayer(task, visuals="plain")
+
+    def render(self, episode: Episode) -> dict[str, NDArray[Any]]:
+        """Return the arrays of an episode, leading dimension T: the view at the beginning of each control step.
+
+        `<camera>/rgb` (T, H, W, 3) uint8, `<camera>/depth` (T, H, W) uint16 in tenths of a millimetre,
+        `<camera>/segmentation` (T, H, W) int8, `<camera>/position` (T, 3) and `<camera>/quat_wxyz` (T, 4) of the
+        optical frame in the world; `points` (T, P, 3) float16, metres, world frame, and `point_colors` (T, P, 3) uint8.
+
+        Raises:
+            ValueError: The episode cannot be simulated again, or its replay leaves the recording.
+        """
+        columns: dict[str, list[Any]] = {}
+        for step, state in enumerate(self._replayer.states(episode)):
+            if step == len(episode):
+                break
+            if divergence := first_difference(episode, step, state):
+                raise ValueError(f"Episode {episode.id} cannot be rendered: {divergence}.")
+            images = [see(self._replayer.scene, camera, state.ee) for camera in self._settings.cameras]
+            for name, value in self._arrays(images):
+                columns.setdefault(name, []).append(value)
+        return {name: np.stack(column) for name, column in columns.items()}
+
+    def things(self) -> list[str]:
+        """Name what the numbers of a segmentation stand for, in order."""
+        return list(self._replayer.scene.things)
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self._replayer.close()
+
+    def _arrays(self, images: list[Image]) -> Iterator[tuple[str, NDArray[Any]]]:
+        for camera, image in zip(self._settings.cameras, images, strict=True):
+            if self._settings.images:
+                yield f"{camera.name}/rgb", image.rgb
+                yield f"{camera.name}/depth", np.round(image.depth * 1e4).clip(0, 65535).astype(np.uint16)
+                yield f"{camera.name}/segmentation", image.segmentation
+            yield f"{camera.name}/position", image.pose.position
+            yield f"{camera.name}/quat_wxyz", image.pose.quat_wxyz
+        if self._thin is not None:
+            points, colors = self._cropped(images)
+            kept = self._thin(points, self._settings.points)
+            yield "points", points[kept].astype(np.float16)
+            yield "point_colors", colors[kept]
+
+    def _cropped(self, images: list[Image]) -> tuple[Array, NDArray[np.uint8]]:
+        clouds, colors = [], []
+        for camera, image in zip(self._settings.cameras, images, strict=True):
+            points, seen = world_points(camera, image)
+            inside = seen & (points > self._low).all(axis=-1) & (points < self._high).all(axis=-1)
+            clouds.append(points[inside])
+            colors.append(image.rgb[inside])
+        return np.concatenate(clouds), np.concatenate(colors)
+
+
+def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
+    """Choose n points that lie far apart (farthest-point sampling from the first); all of them, and again, if fewer.
+
+    Args:
+        points: Shape (M, 3).
+        n: How many.
+
+    Raises:
+        ImportError: `fpsample` is missing.
+        ValueError: There is no point to choose.
+    """
+    try:
+        import fpsample
+    except ImportError as error:
+        raise ImportError("Point clouds need fpsample: pip install 'dynaforge[data]'.") from error
+    if not len(points):
+        raise ValueError("No camera sees a point in the workspace; move a camera or widen the workspace.")
+    if len(points) <= n:
+        return np.resize(np.arange(len(points)), n)
+    chosen = fpsample.bucket_fps_kdline_sampling(points.astype(np.float32), n, h=5, start_idx=0)
+    return np.asarray(chosen, dtype=np.int64)
+
+
+def write_observations(path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], things: list[str]) -> None:
+    """Write the observations of an episode, whole or not at all."""
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver="latest") as file:
+        file.attrs["episode"] = episode.id
+        file.attrs["content_hash"] = episode.content_hash()
+        file.attrs["things"] = json.dumps(things)
+        for name, array in arrays.items():
+            image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
+            pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
+            chunks = (1, *array.shape[1:]) if image else None
+            file.create_dataset(name, data=array, chunks=chunks, **pressed)
+    body = buffer.getvalue()
+    atomic_write(path, seal(body) + body)
+
+
+def read_observations(path: Path) -> dict[str, NDArray[Any]]:
+    """Read the observations of an episode after checking every byte.
+
+    Raises:
+        FileNotFoundError: There are none.
+        DamagedFileError: The file was altered or cut off.
+    """
+    data = path.read_bytes()
+    check_seal(path, data)
+    arrays: dict[str, NDArray[Any]] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[name] = np.asarray(item[()])
+
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            file.visititems(collect)
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DamagedFileError(path, f"its content cannot be read ({error})") from error
+    return arrays
+
+
+class ObservationFolder:
+    """Rendered observations beside a dataset's episodes: `settings.json` and one file an episode.
+
+    Args:
+        path: The folder; by default `observations/` of the dataset.
+        settings: What it is to hold; it is created if need be. None opens what is there, for reading.
+
+    Raises:
+        FileNotFoundError: No settings were given and the folder holds none.
+        ValueError: The folder holds observations with other settings.
+    """
+
+    def __init__(self, path: Path, settings: ObservationSettings | None = None) -> None:
+        self.path = path
+        marker = path / SETTINGS
+        held = ObservationSettings.from_dict(json.loads(marker.read_text())) if marker.is_file() else None
+        if settings is None and held is None:
+            raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
+        if settings is not None and held is not None and settings != held:
+            raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
+        if settings is not None and held is None:
+            path.mkdir(parents=True, exist_ok=True)
+            atomic_write(marker, json.dumps(settings.to_dict(), indent=1).encode() + b"\n")
+        self.settings = settings or held
+
+    def file_of(self, episode_id: str) -> Path:
+        """Return where the observations of an episode are, or would be."""
+        return self.path / f"{episode_id}{SUFFIX}"
+
+    def missing(self, episode_ids: list[str]) -> list[str]:
+        """Return those of which nothing is rendered yet."""
+        return [name for name in episode_ids if not self.file_of(name).is_file()]
+
+    def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
+        """Read the observations of an episode, as `read_observations`."""
+        return read_observations(self.file_of(episode_id))

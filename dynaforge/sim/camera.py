@@ -1,0 +1,138 @@
+"""Cameras on a scene: colour, depth and segmentation, and the points that a depth image holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.geometry import Array, Pose
+from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.scene import SimScene
+
+Point = tuple[float, float, float]
+FLIP = np.diag((1.0, -1.0, -1.0))  # from OpenGL's camera axes (y up, looking along -z) to OpenCV's (y down, along z)
+LIGHT = (0.6, -0.6, 2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera, fixed in the world or in the hand.
+
+    Attributes:
+        name: What its arrays are called by.
+        eye, look_at, up: Metres; in the world frame, or in the end-effector frame of a camera in the hand.
+        in_hand: Whether it moves with the end effector.
+        size: (width, height), pixels.
+        fov: Vertical field of view, degrees.
+        near, far: Planes between which it sees, metres.
+    """
+
+    name: str
+    eye: Point
+    look_at: Point
+    up: Point = (0.0, 0.0, 1.0)
+    in_hand: bool = False
+    size: tuple[int, int] = (128, 128)
+    fov: float = 50.0
+    near: float = 0.02
+    far: float = 4.0
+
+    def __post_init__(self) -> None:
+        if min(self.size) < 1 or not 0.0 < self.fov < 180.0 or not 0.0 < self.near < self.far:
+            raise ValueError(f"Camera {self.name!r} needs a size of at least 1 x 1, 0 < fov < 180 and 0 < near < far.")
+
+    @property
+    def intrinsics(self) -> Array:
+        """K of the pinhole, pixels, shape (3, 3): what column j and row i hold was seen along K^-1 (j, i, 1).
+
+        Bullet's software renderer samples a pixel at its lower left corner.
+        """
+        width, height = self.size
+        f = 0.5 * height / np.tan(0.5 * np.radians(self.fov))
+        return np.array(((f, 0.0, 0.5 * width), (0.0, f, 0.5 * height - 1.0), (0.0, 0.0, 1.0)))
+
+    def pose(self, ee: Pose) -> Pose:
+        """`T_world_camera` with the axes of OpenCV (x right, y down, z ahead), given the end effector's pose."""
+        eye, ahead, up = np.array(self.eye), np.subtract(self.look_at, self.eye), np.array(self.up)
+        z = ahead / np.linalg.norm(ahead)
+        x = np.cross(z, up)
+        if np.linalg.norm(x) < 1e-6:
+            raise ValueError(f"Camera {self.name!r} looks along its own up direction.")
+        x /= np.linalg.norm(x)
+        own = Pose(np.column_stack((x, np.cross(z, x), z)), eye)
+        return ee @ own if self.in_hand else own
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON data."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Camera:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            ValueError: A field is missing or unknown.
+        """
+        try:
+            values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+            return Camera(**values)
+        except TypeError as error:
+            raise ValueError(f"No camera: {error}.") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """What a camera saw at one moment.
+
+    Attributes:
+        rgb: Shape (H, W, 3), uint8.
+        depth: Distance along the optical axis, metres, shape (H, W), float32; `far` where nothing is.
+        segmentation: Which of `SimScene.things`, counted from 0, shape (H, W), int8; -1 where nothing is.
+        pose: `T_world_camera`.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    segmentation: NDArray[np.int8]
+    pose: Pose
+
+
+def see(scene: SimScene, camera: Camera, ee: Pose) -> Image:
+    """Take a picture of the scene as it is now; it must have been loaded with visuals.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        ee: `T_world_ee` now, which a camera in the hand moves with.
+    """
+    width, height = camera.size
+    pose = camera.pose(ee)
+    view = np.eye(4)
+    view[:3, :3] = FLIP @ pose.rotation.T
+    view[:3, 3] = -view[:3, :3] @ pose.position
+    projection = p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
+    _, _, rgba, z, mask = scene.client.getCameraImage(
+        width, height, view.T.ravel().tolist(), projection, renderer=p.ER_TINY_RENDERER, shadow=0, lightDirection=LIGHT
+    )
+    near, far = camera.near, camera.far
+    depth = far * near / (far - (far - near) * np.asarray(z, dtype=np.float64).reshape(height, width))
+    bodies = np.asarray(mask).reshape(height, width)
+    segmentation = np.full((height, width), -1, dtype=np.int8)
+    for index, body in enumerate(scene.things.values()):
+        segmentation[bodies == body] = index
+    rgb = np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
+    return Image(rgb.copy(), depth.astype(np.float32), segmentation, pose)
+
+
+def world_points(camera: Camera, image: Image) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the point that each pixel saw, world frame, metres, shape (H, W, 3), and whether it saw any, (H, W)."""
+    width, height = camera.size
+    K = camera.intrinsics
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    rays = np.stack(((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)), axis=-1)
+    points = (rays * image.depth[..., None]) @ image.pose.rotation.T + image.pose.position
+    return points, image.segmentation >= 0

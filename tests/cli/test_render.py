@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli.main import main
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.observations import ObservationFolder
+from dynaforge.generators import Goal, PlannerOnly, collect
+from dynaforge.tasks import get_task
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    dataset = DemonstrationDataset(folder, task="can", keep_failures=True)
+    collect(dataset, get_task("can"), PlannerOnly(), Goal(None, 2), workers=1)
+    return folder
+
+
+def test_render_fills_in_what_is_missing(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["render", str(data), "--cameras", "front", "--size", "16", "16", "--workers", "1"]
+    assert main(command) == 0
+    folder, names = ObservationFolder(data / "observations"), DemonstrationDataset(data).ids()
+    assert folder.missing(names) == []
+    assert folder[names[0]]["front/rgb"].shape[1:] == (16, 16, 3)
+    folder.file_of(names[1]).unlink()
+    assert main(command) == 0
+    assert "2 episodes, 1 rendered" in capsys.readouterr().out
+    assert folder.missing(names) == []
+    assert main(["verify", str(data)]) == 0, "observations are no foreign files"
+    assert main([*command, "--points", "9"]) == 2
+    assert "other settings" in capsys.readouterr().err
+
+
+def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(
+        json.dumps([{"name": "top", "eye": [0.5, 0.0, 1.2], "look_at": [0.5, 0.0, 0.0], "up": [1, 0, 0]}])
+    )
+    command = ["render", str(data), "--out", str(tmp_path / "seen"), "--size", "16", "16", "--workers", "1"]
+    assert main([*command, "--cameras", "top"]) == 2
+    assert "there are front, side, wrist" in capsys.readouterr().err
+    assert main([*command, "--cameras", "top", "--camera-file", str(cameras)]) == 0
+    stored = json.loads((tmp_path / "seen" / "settings.json").read_text())["cameras"][0]
+    assert stored["name"] == "top"
+    assert stored["intrinsics"][2] == [0.0, 0.0, 1.0]

@@ -1,0 +1,123 @@
+"""What is rendered of an episode: the views of its own states, stored so that damage is noticed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynaforge.demos import DamagedFileError, Episode
+from dynaforge.demos.observations import (
+    ObservationFolder,
+    ObservationRenderer,
+    ObservationSettings,
+    farthest_points,
+    read_observations,
+    standard_cameras,
+    write_observations,
+)
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.generators import PlannerOnly
+from dynaforge.registration import ENV_NAMES
+from dynaforge.tasks import get_task
+
+SMALL = (64, 48)
+
+
+def episode_of(name: str, *, steps: int) -> Episode:
+    """The first steps of an episode of the planner."""
+    env = ResidualEnv(name)
+    whole = PlannerOnly().attempt(env, next(env.task.conditions.stream("val", n_strata=8)))
+    env.close()
+    return replace(whole, steps={key: column[:steps] for key, column in whole.steps.items()})
+
+
+def settings(name: str, *cameras: str, images: bool = True, points: int = 0) -> ObservationSettings:
+    known = standard_cameras(get_task(name))
+    return ObservationSettings(tuple(replace(known[c], size=SMALL) for c in cameras), images, points)
+
+
+@pytest.mark.parametrize("name", ENV_NAMES)
+def test_every_task_can_be_seen(name: str) -> None:
+    episode = episode_of(name, steps=3)
+    renderer = ObservationRenderer(get_task(name), settings(name, "front", "side", "wrist"))
+    arrays = renderer.render(episode)
+    things = renderer.things()
+    renderer.close()
+    for camera in ("front", "side", "wrist"):
+        assert arrays[f"{camera}/rgb"].shape == (3, *SMALL[::-1], 3)
+        assert arrays[f"{camera}/depth"].shape == arrays[f"{camera}/segmentation"].shape == (3, *SMALL[::-1])
+        np.testing.assert_allclose(np.linalg.norm(arrays[f"{camera}/quat_wxyz"], axis=1), 1.0)
+    seen = {things[k] for c in ("front", "side") for k in np.unique(arrays[f"{c}/segmentation"]) if k >= 0}
+    assert {"robot", "table", get_task(name).manipulated} <= seen
+
+
+def test_points_lie_in_the_workspace_and_are_as_many_as_asked_for() -> None:
+    pytest.importorskip("fpsample")
+    wanted = settings("can", "front", "wrist", images=False, points=128)
+    renderer = ObservationRenderer(get_task("can"), wanted)
+    arrays = renderer.render(episode_of("can", steps=4))
+    renderer.close()
+    assert arrays["points"].shape == arrays["point_colors"].shape == (4, 128, 3)
+    low, high = np.array(wanted.workspace)
+    assert (arrays["points"] > low - 0.001).all()
+    assert (arrays["points"] < high + 0.001).all()
+    assert not any("rgb" in name for name in arrays)
+
+
+def test_farthest_points_keep_their_distance() -> None:
+    pytest.importorskip("fpsample")
+    line = np.zeros((101, 3))
+    line[:, 0] = np.linspace(0.0, 1.0, 101)
+    chosen = np.sort(line[farthest_points(line, 5), 0])
+    np.testing.assert_allclose(chosen, (0.0, 0.25, 0.5, 0.75, 1.0), atol=0.011)
+    np.testing.assert_array_equal(farthest_points(line[:2], 5), (0, 1, 0, 1, 0))
+    with pytest.raises(ValueError, match="sees a point"):
+        farthest_points(line[:0], 5)
+
+
+def test_a_replay_that_leaves_the_recording_is_not_rendered() -> None:
+    episode = episode_of("can", steps=6)
+    steps = dict(episode.steps)
+    steps["q"] = steps["q"].copy()
+    steps["q"][3, 0] += 1e-9
+    renderer = ObservationRenderer(get_task("can"), settings("can", "front"))
+    with pytest.raises(ValueError, match="q differs from step 3 on"):
+        renderer.render(replace(episode, steps=steps))
+    renderer.close()
+
+
+def test_files_give_back_what_was_written_and_notice_damage(tmp_path: Path) -> None:
+    episode = episode_of("can", steps=2)
+    renderer = ObservationRenderer(get_task("can"), settings("can", "front"))
+    arrays, path = renderer.render(episode), tmp_path / "e.h5"
+    write_observations(path, episode, arrays, renderer.things())
+    renderer.close()
+    back = read_observations(path)
+    assert sorted(back) == sorted(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(back[name], array)
+        assert back[name].dtype == array.dtype
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(DamagedFileError, match=r"e\.h5"):
+        read_observations(path)
+
+
+def test_a_folder_keeps_to_its_settings(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="dynaforge render"):
+        ObservationFolder(tmp_path)
+    wanted = settings("can", "front", "wrist", points=64)
+    ObservationFolder(tmp_path, wanted)
+    assert ObservationFolder(tmp_path).settings == wanted
+    with pytest.raises(ValueError, match="other settings"):
+        ObservationFolder(tmp_path, settings("can", "front"))
+
+
+@pytest.mark.parametrize(("cameras", "kind"), [((), {}), (("front", "front"), {}), (("front",), {"images": False})])
+def test_empty_settings_are_refused(cameras: tuple[str, ...], kind: dict[str, bool]) -> None:
+    with pytest.raises(ValueError, match=r"at least one|Nothing to render"):
+        settings("can", *cameras, **kind)
