@@ -1,0 +1,85 @@
+"""`dynaforge export`: demonstrations in the format of another library, with a card."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from tqdm import tqdm
+
+from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
+from dynaforge.demos.exporters.frames import ACTIONS
+from dynaforge.demos.observations import FOLDER, ObservationFolder
+from dynaforge.reports.card import write_card
+from dynaforge.tasks import get_task
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `export`."""
+    listed = "; ".join(f"{name}: {text}" for name, text in FORMATS.items())
+    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    parser.add_argument("--format", required=True, choices=list(FORMATS), help=listed)
+    parser.add_argument(
+        "--actions", default="ee", choices=ACTIONS, help="end-effector pose or joint positions, and width"
+    )
+    parser.add_argument(
+        "--observations", type=Path, help=f"folder of `dynaforge render`; by default {FOLDER}/ if there"
+    )
+    parser.add_argument("--failures", action="store_true", help="failed recordings too (collect --keep-failures)")
+    parser.add_argument("--license", default="MIT", help="SPDX identifier for the card")
+    parser.add_argument("--out", type=Path, help="new folder; by default FOLDER-FORMAT")
+    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Export everything, whole or not at all."""
+    write = exporter(options.format)
+    dataset = DemonstrationDataset(options.folder)
+    task = get_task(options.task_file or dataset.task)
+    source = options.folder.resolve()
+    out = options.out or source.with_name(f"{source.name}-{options.format}")
+    if out.exists():
+        raise FileExistsError(f"{out} exists already. Choose another --out, or remove it.")
+    observations = _observations(options)
+    kept: list[Episode] = []
+    names: tuple[str, ...] = ()
+
+    def frames() -> Iterator[Frames]:
+        nonlocal names
+        fps = round(1 / task.scene.control_dt)
+        found = read_frames(
+            dataset, fps=fps, actions=options.actions, observations=observations, failures=options.failures
+        )
+        for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
+            kept.append(episode.episode)
+            names = episode.action_names
+            yield episode
+
+    temporary = out.with_name(f".{out.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    try:
+        n = write(temporary, task, frames())
+        write_card(
+            temporary, task, dataset.attempts(), kept, layout=options.format, licence=options.license, actions=names,
+            command=shlex.join(["dynaforge", *sys.argv[1:]]),
+        )  # fmt: skip
+        os.replace(temporary, out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    print(f"{n} demonstrations, {sum(map(len, kept))} steps, {size / 1e6:.1f} MB: {out}")
+    return 0
+
+
+def _observations(options: argparse.Namespace) -> ObservationFolder | None:
+    path = options.observations or options.folder / FOLDER
+    if options.observations is None and not path.is_dir():
+        return None
+    return ObservationFolder(path)

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli.main import main
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.exporters import FORMATS
+from dynaforge.generators import Goal, PlannerOnly, collect
+from dynaforge.tasks import get_task
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "peach"
+    dataset = DemonstrationDataset(folder, task="peach", keep_failures=True)
+    collect(dataset, get_task("peach"), PlannerOnly(), Goal(None, 2), workers=1)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["lerobot", "robomimic", "minari"])
+def test_a_folder_and_its_card(data: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(data), "--format", name, "--failures", "--actions", "joint"]) == 0
+    out = data.with_name(f"peach-{name}")
+    assert "2 demonstrations" in capsys.readouterr().out
+    card = (out / "README.md").read_text()
+    for told in ("Peach: 2 demonstrations", "of 2 attempts", "joint_7, width", "license: mit", f"format | {name}"):
+        assert told in card, told
+    assert (out / "contact.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["export", str(data), "--format", name]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_what_cannot_be_exported_leaves_nothing(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(data), "--format", "dp3-zarr", "--failures"]) == 2
+    assert "dynaforge render" in capsys.readouterr().err
+    assert not list(data.parent.glob("*zarr*"))
+    assert not list(data.parent.glob(".*"))
+    assert {"lerobot", "robomimic", "minari", "dp3-zarr"} == set(FORMATS)
