@@ -14,6 +14,8 @@ from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError
 from dynaforge.demos.ledger import Attempt
 from dynaforge.demos.replay import Replayer
+from dynaforge.demos.schema import state_digests
+from dynaforge.tasks.digest import task_digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +66,10 @@ def verify_episode(
         episode = dataset[name]
     except DamagedFileError as error:
         return [Finding(path, error.reason)]
-    problems = [*_wrong_values(episode), *_wrong_outcome(episode, noted)]
+    problems = [*_wrong_values(episode), *_wrong_digests(episode), *_wrong_outcome(episode, noted)]
     if replayer is not None:
+        if episode.meta.get("task_hash", task_digest(replayer.task)) != task_digest(replayer.task):
+            problems.append(f"it was recorded with another definition of task {dataset.task!r}")
         try:
             replay = replayer.replay(episode)
         except ValueError as error:
@@ -91,6 +95,13 @@ def _wrong_values(episode: Episode) -> Iterator[str]:
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             step = int(np.argwhere(~np.isfinite(array))[0][0])
             yield f"{name} is not finite at step {step}"
+
+
+def _wrong_digests(episode: Episode) -> Iterator[str]:
+    noted, found = episode.meta.get("state_digests"), state_digests(episode.steps)
+    if noted is not None and list(noted) != found:
+        second = next((k for k, (a, b) in enumerate(zip(noted, found, strict=False)) if a != b), len(found))
+        yield f"its states differ from their digest at second {second}"
 
 
 def _wrong_outcome(episode: Episode, noted: Attempt | None) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any, Protocol
 
@@ -10,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos import Episode
+from dynaforge.demos.schema import state_digests
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
+from dynaforge.tasks.digest import task_digest
 
 PACKAGES = ("dynaforge", "pybullet", "pin", "toppra", "ruckig", "numpy")
 
@@ -63,6 +66,7 @@ class ResidualGenerator:
                 observation, reward, done, _, info = env.step(self.policy(observation))
         finally:
             env.world.listeners.remove(recorder)
+        steps = recorder.arrays(reward)
         return Episode(
             condition=condition,
             generator=self.name,
@@ -71,13 +75,23 @@ class ResidualGenerator:
             failure=info["failure"],
             phase=info["phase"],
             duration=env.world.state.time,
-            steps=recorder.arrays(reward),
+            steps=steps,
             meta={
                 "phases": [phase.name for phase in env.task.phases],
+                "planned_contact_time": _first_time(steps, steps["phase"] >= env.task.contact_phase) if steps else None,
+                "contact_time": _first_time(steps, steps["left_contact"] | steps["right_contact"]) if steps else None,
+                "state_digests": state_digests(steps),
+                "task_hash": task_digest(env.task),
                 "policy_hash": self.policy_hash,
                 "versions": {name: version(name) for name in PACKAGES},
             },
         )
+
+
+def _first_time(steps: Mapping[str, NDArray[Any]], holds: NDArray[np.bool_]) -> float | None:
+    """Return the simulated time of the first step at which something holds; None if it never does."""
+    found = np.flatnonzero(holds)
+    return float(steps["time"][found[0]]) if len(found) else None
 
 
 class ConstantResidual:

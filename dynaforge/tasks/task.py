@@ -126,6 +126,13 @@ class Task:
         return (*self.impossible, ("robot stopped", RobotStopped()))
 
     @property
+    def contact_phase(self) -> int:
+        """Index of the phase that begins when contact is planned: the first that closes the hand, else the last."""
+        widths = [phase.width for phase in self.phases]
+        closing = (k for k in range(1, len(widths)) if widths[k] < widths[k - 1])
+        return next(closing, len(widths) - 1)
+
+    @property
     def n_checkpoints(self) -> int:
         """C of Eq. 6."""
         return len(self.phases)

@@ -13,6 +13,7 @@ from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset, Episode, write_episode
+from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
 
 
@@ -118,6 +119,15 @@ def test_what_was_recorded_wrongly_is_named(
     episode = make_episode(0)
     write_episode(dataset.file_of(episode.id), replace(episode, steps=dict(episode.steps) | change))
     assert problems(dataset) == {f"{episode.id}.h5": [problem]}
+
+
+def test_states_that_differ_from_their_digests_are_named(dataset: DemonstrationDataset) -> None:
+    episode = make_episode(0)
+    digests = state_digests(episode.steps)
+    assert len(digests) == 1, "one a second, and the recording is shorter than that"
+    steps = dict(episode.steps) | {"q": episode.steps["q"] + 1e-12}
+    write_episode(dataset.file_of(episode.id), replace(episode, steps=steps, meta={"state_digests": digests}))
+    assert problems(dataset) == {f"{episode.id}.h5": ["its states differ from their digest at second 0"]}
 
 
 def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationDataset) -> None:

@@ -13,6 +13,7 @@ from dynaforge.geometry import matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
 from dynaforge.tasks import get_task
+from dynaforge.tasks.digest import task_digest
 
 SPACE = get_task("can").conditions
 ROBOT = franka()
@@ -55,6 +56,16 @@ def test_every_step_of_an_episode_fits_the_schema(episode: Episode) -> None:
     assert len(episode) == round(episode.duration * 30)
     np.testing.assert_allclose(np.diff(steps["time"]), 1 / 30)
     assert steps["phase"].max() < len(episode.meta["phases"])
+
+
+def test_contact_is_noted_as_planned_and_as_it_came(episode: Episode) -> None:
+    steps, meta = episode.steps, episode.meta
+    closing = np.flatnonzero(steps["phase"] == meta["phases"].index("close"))
+    touching = np.flatnonzero(steps["left_contact"] | steps["right_contact"])
+    assert meta["planned_contact_time"] == (steps["time"][closing[0]] if len(closing) else None)
+    assert meta["contact_time"] == (steps["time"][touching[0]] if len(touching) else None)
+    assert meta["task_hash"] == task_digest(get_task("can"))
+    assert len(meta["state_digests"]) == 1 + int(steps["time"][-1])
 
 
 def test_the_request_is_the_plan_plus_the_gated_residual(episode: Episode) -> None:

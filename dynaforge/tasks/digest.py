@@ -1,0 +1,65 @@
+"""A fingerprint of a task's definition: two recordings of equal fingerprint are of the same task."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from dynaforge.sim.spec import asset_path
+from dynaforge.tasks.task import Task
+
+_known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept, so that its id stays its own
+
+
+def task_digest(task: Task) -> str:
+    """Return 16 hex digits over everything that defines the task: data, the code of its functions, its URDFs.
+
+    Camera and sentences do not count; the vocabulary's own code does not either, the package version stands for it.
+    """
+    if id(task) not in _known:
+        digest = hashlib.sha256()
+        for part in _parts("task", task):
+            digest.update(part)
+        _known[id(task)] = (task, digest.hexdigest()[:16])
+    return _known[id(task)][1]
+
+
+_APART = ("camera", "motion", "randomisation", "goal", "skill", "env_name")
+
+
+def _parts(name: str, value: Any) -> Iterator[bytes]:
+    yield f"\n{name}:".encode()
+    if is_dataclass(value) and not isinstance(value, type):
+        yield type(value).__name__.encode()
+        for f in fields(value):
+            if not (isinstance(value, Task) and f.name in _APART):
+                yield from _parts(f.name, getattr(value, f.name))
+    elif isinstance(value, Enum):
+        yield value.name.encode()
+    elif isinstance(value, Mapping):
+        for key in value:
+            yield from _parts(str(key), value[key])
+    elif isinstance(value, (tuple, list)):
+        for k, item in enumerate(value):
+            yield from _parts(str(k), item)
+    elif isinstance(value, np.ndarray):
+        yield value.tobytes()
+    elif isinstance(value, str) and value.endswith(".urdf"):
+        yield asset_path(value).read_bytes()
+    elif callable(value):
+        yield _source(value).encode()
+    else:
+        yield repr(value).encode()
+
+
+def _source(function: Any) -> str:
+    try:
+        return inspect.getsource(function)
+    except (OSError, TypeError):  # typed at a prompt, or built in
+        return f"{function.__module__}.{function.__qualname__}"

@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+from dynaforge.tasks import TASK_NAMES, get_task
+from dynaforge.tasks.digest import task_digest
+
+CAN = get_task("can")
+
+
+def test_tasks_differ_and_every_process_agrees() -> None:
+    digests = [task_digest(get_task(name)) for name in TASK_NAMES]
+    assert len(set(digests)) == len(TASK_NAMES)
+    script = "from dynaforge.tasks import *; from dynaforge.tasks.digest import task_digest\n"
+    script += "print(*[task_digest(get_task(name)) for name in TASK_NAMES])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.split() == digests
+
+
+def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
+    phases = (replace(CAN.phases[0], timeout=CAN.phases[0].timeout + 0.1), *CAN.phases[1:])
+    assert task_digest(replace(CAN, phases=phases)) != task_digest(CAN)
+    assert task_digest(replace(CAN, scene=replace(CAN.scene, physics_dt=1 / 480))) != task_digest(CAN)
+    assert task_digest(replace(CAN, scene=replace(CAN.scene, launch=lambda c: {}))) != task_digest(CAN)
+    assert task_digest(replace(CAN, motion="It rolls.", camera=((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)))) == task_digest(CAN)
+
+
+def test_the_phase_that_plans_contact() -> None:
+    named = {name: get_task(name).phases[get_task(name).contact_phase].name for name in TASK_NAMES}
+    assert named["can"] == named["lemon"] == named["peg"] == "close"
+    assert named["alarmclock"] == "press"
