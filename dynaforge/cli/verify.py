@@ -17,6 +17,10 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `verify`."""
     parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
     parser.add_argument("--replay", action="store_true", help="simulate every recording again and compare all states")
+    parser.add_argument(
+        "--audit", action="store_true",
+        help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
+    )  # fmt: skip
     parser.add_argument("--task-file", help="file of the task, where it is one of your own")
 
 
@@ -25,7 +29,9 @@ def run(options: argparse.Namespace) -> int:
     dataset = DemonstrationDataset(options.folder)
     replayer = Replayer(get_task(options.task_file or dataset.task)) if options.replay else None
     n, found = len(dataset), 0
-    for findings in tqdm(verify(dataset, replayer=replayer), total=n + 1, leave=False, unit="file"):
+    for findings in tqdm(
+        verify(dataset, replayer=replayer, audited=options.audit), total=n + 1, leave=False, unit="file"
+    ):
         for finding in findings:
             tqdm.write(str(finding))
         found += len(findings)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynaforge.demos.atomic import is_temporary
+from dynaforge.demos.audit import audit
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError
@@ -51,8 +52,9 @@ def verify_ledger(dataset: DemonstrationDataset) -> list[Finding]:
 
 
 def verify_episode(
-    dataset: DemonstrationDataset, name: str, noted: Attempt | None, replayer: Replayer | None = None
-) -> list[Finding]:
+    dataset: DemonstrationDataset, name: str, noted: Attempt | None, replayer: Replayer | None = None, *,
+    audited: bool = False,
+) -> list[Finding]:  # fmt: skip
     """Check one recording: bytes, shapes, time, finite values, outcome; and its physics, if a replayer is given.
 
     Args:
@@ -60,6 +62,7 @@ def verify_episode(
         name: Its id.
         noted: Its line in the ledger; None where a kill fell between the two.
         replayer: Simulates it again.
+        audited: Look for motion that is not possible, too.
     """
     path = dataset.file_of(name)
     try:
@@ -79,15 +82,19 @@ def verify_episode(
                 problems.append(f"its replay leaves the recording: {replay.divergence}{_versions(episode)}")
             elif replay.success != episode.success:
                 problems.append(f"its success is recorded as {episode.success}, its replay ends in {replay.success}")
+    if audited:
+        problems += map(str, audit(episode, replayer=replayer))
     return [Finding(path, problem) for problem in problems]
 
 
-def verify(dataset: DemonstrationDataset, *, replayer: Replayer | None = None) -> Iterator[list[Finding]]:
+def verify(
+    dataset: DemonstrationDataset, *, replayer: Replayer | None = None, audited: bool = False
+) -> Iterator[list[Finding]]:
     """Check everything: yields the findings of the ledger, then of each recording in turn."""
     yield verify_ledger(dataset)
     noted = {attempt.id: attempt for attempt in dataset.ledger.attempts()}
     for name in dataset.ids():
-        yield verify_episode(dataset, name, noted.get(name), replayer)
+        yield verify_episode(dataset, name, noted.get(name), replayer, audited=audited)
 
 
 def _wrong_values(episode: Episode) -> Iterator[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import combinations, groupby
+from itertools import groupby
 from typing import Any
 
 import numpy as np
 import pytest
 
+from dynaforge.demos.audit import deepest_contacts
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
 from dynaforge.registration import ENV_NAMES
@@ -29,18 +30,8 @@ class Watch:
         env.world.listeners.append(self)
 
     def __call__(self, step: ControlStep) -> None:
-        fixtures = {name: fixture.body for name, fixture in self.scene.fixtures.items()}
-        ids = {"hand": self.scene.robot_id, "table": self.scene.table_id, **fixtures, **self.scene.body_ids}
-        pairs = {
-            f"{a}-{b}": (ids[a], ids[b])
-            for a, b in combinations(ids, 2)
-            if not {a, b} <= {"table", *fixtures}  # bolted to each other
-        }
         self.steps.append(step)
-        self.depths.append({name: self._depth(*pair) for name, pair in pairs.items()})
-
-    def _depth(self, a: int, b: int) -> float:
-        return max((-contact[8] for contact in self.scene.client.getContactPoints(a, b)), default=0.0)
+        self.depths.append(deepest_contacts(self.scene))
 
 
 def watched(task: str, scale: float, n: int) -> list[Watch]:
