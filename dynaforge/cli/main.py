@@ -17,6 +17,7 @@ COMMANDS = {
     "collect": "demonstrations into a folder, on all cores; resumes",
     "info": "what a folder of demonstrations holds: rates, lengths, ranges, size",
     "render": "pictures and point clouds of collected episodes, in a second pass; resumes",
+    "view": "one HTML page to look through a folder of demonstrations: clips, plots, filters",
     "export": "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",
     "verify": "check a folder of demonstrations: bytes, values, outcomes; --replay simulates them again",
     "compare": "train several algorithms on the same tasks and seeds, measure and report; resumes",

@@ -38,7 +38,7 @@ def can() -> Episode:
 @pytest.mark.parametrize("name", ENV_NAMES)
 def test_what_physics_made_is_possible(name: str) -> None:
     replayer = Replayer(get_task(name))
-    for episode in recorded(name, 3):
+    for episode in recorded(name, 2):
         assert audit.audit(episode, replayer=replayer) == []
     replayer.close()
 

@@ -1,0 +1,49 @@
+"""`dynaforge view`: one HTML page to look through a folder of demonstrations."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.reports.viewer import Filmer, write_viewer
+from dynaforge.tasks import get_task
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Add the options of `view`."""
+    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    parser.add_argument(
+        "--limit", type=int, default=40, help="recordings with clip and plots, spread over the difficulties"
+    )
+    parser.add_argument("--no-clips", action="store_true", help="plots only, in a tenth of the time")
+    parser.add_argument("--out", type=Path, help="HTML file (default: view.html in the folder)")
+    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the page."""
+    dataset = DemonstrationDataset(options.folder)
+    task = get_task(options.task_file or dataset.task)
+    attempts = dataset.attempts()
+    recorded = set(dataset.ids())
+    held = sorted((a for a in attempts if a.id in recorded), key=lambda attempt: attempt.difficulty)
+    spread = np.unique(np.linspace(0, len(held) - 1, min(options.limit, len(held))).astype(int))
+    chosen = [held[row].id for row in spread.tolist()] if held else []
+    out = options.out or options.folder / "view.html"
+    filmer = None if options.no_clips else Filmer(task)
+
+    def episodes() -> Iterator[tuple[Episode, bytes | None]]:
+        for name in tqdm(chosen, leave=False, unit="episode"):
+            episode = dataset[name]
+            yield episode, filmer.film(episode) if filmer else None
+
+    write_viewer(out, task, attempts, episodes(), title=f"{task.env_name}: {options.folder}")
+    if filmer:
+        filmer.close()
+    print(f"{len(chosen)} recordings of {len(attempts)} attempts, {out.stat().st_size / 1e6:.1f} MB: {out}")
+    return 0
