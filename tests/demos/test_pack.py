@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from demo_episodes import make_episode
+
+from dynaforge.demos.exporters import Frames
+from dynaforge.demos.pack import Pack
+
+
+def frames(k: int, n: int, *, points: bool = True) -> Frames:
+    """Frames whose state, action and points all tell episode and step: 100 k + step."""
+    label = (100 * k + np.arange(n, dtype=np.float32))[:, None]
+    robot = {"ee_position": label, "ee_quat_wxyz": label, "width": label, "q": label}
+    cloud = np.repeat(label[:, None], 3, axis=2) if points else None
+    return Frames(
+        id=str(k), success=True, fps=30, robot=robot, objects={}, actions=label, action_names=("a",),
+        rewards=label[:, 0], images={}, points=cloud, point_colors=None, episode=make_episode(k),
+    )  # fmt: skip
+
+
+def test_windows_stay_within_their_episode(tmp_path: Path) -> None:
+    pack = Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 3)])
+    assert len(pack) == 7
+    assert pack.episode_ends.tolist() == [4, 7]
+    assert pack.window("action", 2, before=1, after=1)[:, 0].tolist() == [101, 102, 103]
+    assert pack.window("action", 0, before=1, after=1)[:, 0].tolist() == [100, 100, 101]
+    assert pack.window("action", 3, before=1, after=2)[:, 0].tolist() == [102, 103, 103, 103]
+    assert pack.window("state", 4, before=1, after=0).tolist() == [[200] * 4, [200] * 4]
+    assert pack.window("points", 6, before=1, after=1)[:, 0, 0].tolist() == [201, 202, 202]
+
+
+def test_a_pack_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    Pack.write(tmp_path / "pack", [frames(1, 4)])
+    with pytest.raises(ValueError, match="render again"):
+        Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 4, points=False)])
+    assert len(Pack(tmp_path / "pack")) == 4, "what was there is kept"
+    assert len(Pack.write(tmp_path / "pack", [replace(frames(3, 5), action_names=("b",))])) == 5
+    assert Pack(tmp_path / "pack").action_names == ("b",)
+    with pytest.raises(FileNotFoundError, match="no pack"):
+        Pack(tmp_path)
+    with pytest.raises(ValueError, match="no demonstration"):
+        Pack.write(tmp_path / "none", [])
