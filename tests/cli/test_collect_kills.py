@@ -1,0 +1,76 @@
+"""What a kill at any instant leaves behind: whole episodes, an honest ledger, and a collection that goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.verification import verify
+
+COMMAND = (sys.executable, "-m", "dynaforge", "collect", "--task", "can", "--generator", "planner_only",
+           "--keep-failures")  # fmt: skip
+
+
+def start(folder: Path, attempts: int, *more: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [*COMMAND, "--attempts", str(attempts), "--out", str(folder), *more],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+
+
+def killed_again_and_again(folder: Path, reference: Path, *, kills: int, attempts: int) -> None:
+    """Kill collectors (all their processes) at random instants until it has been enough; then let one finish.
+
+    After each kill every recording must read back, and none that was finished before may have gone or changed.
+    """
+    rng = np.random.default_rng(0)
+    finished: dict[str, str] = {}
+    grew = 0
+    for _ in range(kills):
+        process = start(folder, attempts)
+        time.sleep(rng.uniform(0.0, 6.0))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        if not (folder / "dataset.json").is_file():
+            continue
+        held = {episode.id: episode.content_hash() for episode in DemonstrationDataset(folder)}
+        assert finished.items() <= held.items(), "a finished episode was lost or changed"
+        grew += len(held) > len(finished)
+        finished = held
+    assert start(folder, attempts).wait() == 0
+    assert start(reference, attempts).wait() == 0
+    once = {episode.id: episode.content_hash() for episode in DemonstrationDataset(reference)}
+    assert {e.id: e.content_hash() for e in DemonstrationDataset(folder)} == once, "the same as without any kill"
+    ledgers = [{a.id: (a.success, a.failure) for a in DemonstrationDataset(f).attempts()} for f in (folder, reference)]
+    assert ledgers[0] == ledgers[1]
+    torn = [f for findings in verify(DemonstrationDataset(folder)) for f in findings if "line" not in f.problem]
+    assert not torn
+    assert grew > 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3000)
+def test_two_hundred_kills_lose_nothing(tmp_path: Path) -> None:
+    killed_again_and_again(tmp_path / "killed", tmp_path / "whole", kills=200, attempts=2500)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_two_collectors_share_a_folder(tmp_path: Path) -> None:
+    """Both attempt the same conditions: what one has done the other may repeat, to the same bits."""
+    both = [start(tmp_path / "shared", 60, "--workers", "1") for _ in range(2)]
+    assert [process.wait() for process in both] == [0, 0]
+    assert start(tmp_path / "whole", 60).wait() == 0
+    shared, whole = (
+        {e.id: e.content_hash() for e in DemonstrationDataset(tmp_path / name)} for name in ("shared", "whole")
+    )
+    assert whole.items() <= shared.items()
+    assert not [f for findings in verify(DemonstrationDataset(tmp_path / "shared")) for f in findings]
