@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from pathlib import Path
 
@@ -12,7 +11,8 @@ from tqdm import tqdm
 
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
-from dynaforge.generators import Generator, Goal, Source, collect
+from dynaforge.generators import Generator, Goal, Source, collect, run_attempts
+from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.tasks import TASK_NAMES, get_task
 
 GENERATORS = ("residual", "planner_only")
@@ -31,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "--shard", type=shard, default=(0, 1), metavar="I/N", help="every Nth condition, the I-th first"
     )
     parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--workers", type=int, help="processes or actors; all cores by default")
+    parser.add_argument(
+        "--engine", default="local", choices=("local", "ray"), help="this machine's cores, or a running Ray cluster's"
+    )
     parser.add_argument("--out", type=Path, help="folder, new or of an earlier run; by default data/TASK")
 
 
@@ -69,7 +72,8 @@ def run(options: argparse.Namespace) -> int:
             bar.update(int(attempt.success) if goal.demos else 1)
 
         try:
-            collect(dataset, task, generator, goal, source=source, workers=options.workers, tell=tell)
+            engine = run_attempts_on_ray if options.engine == "ray" else run_attempts
+            collect(dataset, task, generator, goal, source=source, workers=options.workers, engine=engine, tell=tell)
         except KeyboardInterrupt:
             print(f"\nstopped with {wins} successes in {attempts} attempts; the same command goes on")
             return 130

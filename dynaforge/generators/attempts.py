@@ -113,7 +113,7 @@ class _Crew:
             _kill(pool)
 
     def _lost(self, condition: Condition, why: str) -> Result:
-        return _lost(condition, self._name, f"worker lost: {why}")
+        return lost(condition, self._name, f"worker lost: {why}")
 
 
 def _pool(task: Task, generator: Generator, workers: int) -> ProcessPoolExecutor:
@@ -146,10 +146,11 @@ def attempt_once(env: ResidualEnv, generator: Generator, condition: Condition) -
     try:
         episode = generator.attempt(env, condition)
     except Exception as error:  # noqa: BLE001 - an attempt that raises is a failed attempt, never a missing one
-        return _lost(condition, generator.name, f"exception: {type(error).__name__}: {error}")
+        return lost(condition, generator.name, f"exception: {type(error).__name__}: {error}")
     return Result(Attempt.of(episode, wall_seconds=time.perf_counter() - start), episode)
 
 
-def _lost(condition: Condition, generator: str, reason: str) -> Result:
+def lost(condition: Condition, generator: str, reason: str) -> Result:
+    """Return the failed attempt that stands for one that left nothing."""
     attempt = Attempt(condition, generator, success=False, checkpoint=0, failure=reason, phase="", duration=0.0)
     return Result(attempt, None)

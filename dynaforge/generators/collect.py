@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from itertools import islice
 
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.generators.attempts import run_attempts
+from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+
+Engine = Callable[..., Iterator[Result]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,7 @@ def collect(
     *,
     source: Source | None = None,
     workers: int | None = None,
+    engine: Engine = run_attempts,
     tell: Callable[[Attempt], None] = lambda attempt: None,
 ) -> list[Attempt]:
     """Attempt conditions until the goal is reached, each attempt recorded as it ends.
@@ -72,6 +75,7 @@ def collect(
         goal: When to end.
         source: Conditions, by default block 0.
         workers: Processes; all cores by default.
+        engine: What runs attempts: `run_attempts`, or `run_attempts_on_ray`.
         tell: Called with every attempt, those found in the folder first.
 
     Returns:
@@ -97,7 +101,7 @@ def collect(
                 under_way += 1
                 yield condition
 
-    for result in run_attempts(task, generator, missing(), block=source.block, workers=workers):
+    for result in engine(task, generator, missing(), block=source.block, workers=workers):
         attempt = result.attempt
         if result.episode is None:
             dataset.record(attempt)

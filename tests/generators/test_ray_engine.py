@@ -1,0 +1,49 @@
+"""Attempts on a Ray cluster of two local nodes, one of which is killed; runs where Ray is installed."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.generators import Goal, PlannerOnly, collect
+from dynaforge.generators.ray_engine import run_attempts_on_ray
+from dynaforge.tasks import get_task
+
+CAN = get_task("can")
+
+
+def test_without_ray_or_cluster_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(ImportError, match=r"dynaforge\[ray\]"):
+        next(run_attempts_on_ray(CAN, PlannerOnly(), []))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+def test_a_killed_node_costs_nothing(tmp_path: Path) -> None:
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    second = cluster.add_node(num_cpus=1)
+    ray.init(address=cluster.address, log_to_driver=False)
+    try:
+        conditions = list(islice(CAN.conditions.stream("train"), 24))
+        results = []
+        for result in run_attempts_on_ray(CAN, PlannerOnly(), conditions, workers=2):
+            results.append(result)
+            if len(results) == 6:
+                cluster.remove_node(second, allow_graceful=False)
+                cluster.add_node(num_cpus=1)
+        assert [r.attempt.condition.id for r in results] == [c.id for c in conditions], "each once and in order"
+        assert not [r for r in results if "worker lost" in r.attempt.failure]
+        dataset = DemonstrationDataset(tmp_path, task="can", keep_failures=True)
+        done = collect(dataset, CAN, PlannerOnly(), Goal(None, 6), engine=run_attempts_on_ray, workers=2)
+        assert [a.success for a in done[:6]] == [r.attempt.success for r in results[:6]]
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
