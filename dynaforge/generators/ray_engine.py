@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -16,7 +17,7 @@ from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
-RETRIES = 2  # of an attempt whose actor died under it, perhaps with its whole node
+RECOVERY = 60.0  # seconds that an actor which died, perhaps with its whole node, has to come back and end the attempt
 AHEAD = 2  # attempts handed to an actor, so that it never waits for the next
 
 
@@ -35,8 +36,8 @@ def run_attempts_on_ray(
 ) -> Iterator[Result]:
     """Attempt every condition on a running Ray cluster and yield the results in order.
 
-    Ray restarts an actor that died, on another node if its own is gone, and repeats the attempt: work is keyed by
-    condition, so a repeat is harmless. An attempt that takes its actor down again and again is a failed attempt.
+    Ray restarts an actor that died, on another node if its own is gone, and the attempt is repeated: work is keyed by
+    condition, so that is harmless. An attempt that takes its actor down again and again is a failed attempt.
 
     Args:
         task: The task; dynaforge must be installed on every node.
@@ -51,9 +52,8 @@ def run_attempts_on_ray(
     """
     ray = _connected()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-    make = ray.remote(num_cpus=1, max_restarts=-1, max_task_retries=RETRIES)(_Attempter)
-    shared = [ray.put(task), ray.put(generator)]
-    actors = [make.options(runtime_env={"env_vars": SINGLE_THREAD}).remote(*shared) for _ in range(count)]
+    make = ray.remote(num_cpus=1, max_restarts=-1, runtime_env={"env_vars": SINGLE_THREAD})(_Attempter)
+    actors = [make.remote(task, generator) for _ in range(count)]
     load = [0] * count
     running: deque[tuple[Condition, int, Any]] = deque()
     source = iter(conditions)
@@ -68,16 +68,30 @@ def run_attempts_on_ray(
         hand_out(AHEAD * count)
         while running:
             condition, k, reference = running.popleft()
-            try:
-                result = ray.get(reference, timeout=TIMEOUT)
-            except (ray.exceptions.RayError, TimeoutError) as error:
-                result = lost(condition, generator.name, f"worker lost: {type(error).__name__}")
+            result = _result(ray, actors[k], condition, reference, generator.name)
             load[k] -= 1
             yield replace(result, attempt=replace(result.attempt, block=block))
             hand_out(1)
     finally:
         for actor in actors:
             ray.kill(actor)
+
+
+def _result(ray: Any, actor: Any, condition: Condition, reference: Any, name: str) -> Result:
+    """Wait for an attempt; while its actor is being restarted, ask again."""
+    fell: float | None = None
+    while True:
+        try:
+            result: Result = ray.get(reference, timeout=TIMEOUT)
+            return result
+        except ray.exceptions.GetTimeoutError:
+            return lost(condition, name, f"worker lost: it ran for {TIMEOUT:g} s")
+        except ray.exceptions.RayError as error:
+            fell = fell or time.monotonic()
+            if time.monotonic() - fell > RECOVERY:
+                return lost(condition, name, f"worker lost: {type(error).__name__}")
+            time.sleep(1.0)
+            reference = actor.attempt.remote(condition)
 
 
 def _connected() -> Any:
