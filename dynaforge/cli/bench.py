@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from dynaforge.cli.bench_data import replay, window, writing
 from dynaforge.cli.bench_determinism import one_trajectory, zero_residual
 from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.bench_limits import finger_speed, global_planner
@@ -39,6 +40,9 @@ MEASUREMENTS: dict[str, Measurement] = {
     "vectorised": lambda task, rounds: vectorised(task, rounds=rounds),
     "trainer": lambda task, rounds: trainer(task, rounds=rounds),
     "collection": lambda task, rounds: collection(task, rounds=rounds),
+    "writing": lambda task, rounds: writing(task, rounds=rounds),
+    "window": lambda task, rounds: window(rounds=rounds),
+    "replay": lambda task, rounds: replay(task),
     "worker-killed": lambda task, rounds: worker_killed(task, rounds=min(rounds, 3)),
     "global-planner": lambda task, rounds: global_planner(task),
 }

@@ -1,0 +1,101 @@
+"""Figures of datasets: what writing costs, how fast training reads, whether replays are exact."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.pack import Pack
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, collect
+from dynaforge.generators.generator import ConstantResidual
+from dynaforge.tasks import Task
+
+MOST_WRITING = 0.02  # of the time of collecting
+MOST_WINDOW = 5e-5  # seconds
+EPISODES = 40  # a round of writing
+PACKED, LENGTH, POINTS = 200, 60, 1024  # episodes, frames each, points each
+WINDOWS = 2000
+REPLAYED = 100
+
+
+def writing(task: Task, *, rounds: int) -> list[Figure]:
+    """Attempt and record on one core; the share of the time that recording takes, every success forced to disk."""
+    env, shares = ResidualEnv(task), []
+    with tempfile.TemporaryDirectory() as folder:
+        dataset = DemonstrationDataset(folder, task=task.name, keep_failures=True)
+        for number in tracked(range(rounds), "writing"):
+            conditions = islice(task.conditions.stream("val", number), EPISODES)
+            attempting = adding = 0.0
+            for condition in conditions:
+                start = time.perf_counter()
+                episode = PlannerOnly().attempt(env, condition)
+                between = time.perf_counter()
+                dataset.add(episode)
+                attempting, adding = attempting + between - start, adding + time.perf_counter() - between
+            shares.append(adding / (attempting + adding))
+    env.close()
+    return [
+        Figure(
+            "writing, share of collection on one core", f"<= {MOST_WRITING:g}", spread(shares, digits=4),
+            float(np.median(shares)) <= MOST_WRITING, {"shares": shares},
+        )
+    ]  # fmt: skip
+
+
+def window(*, rounds: int) -> list[Figure]:
+    """Read two frames of points, two of state and sixteen actions, as DP3 does, at random places of a pack."""
+    rng = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "pack"
+        folder.mkdir()
+        n = PACKED * LENGTH
+        np.save(folder / "points.npy", rng.normal(size=(n, POINTS, 3)).astype(np.float16))
+        np.save(folder / "state.npy", np.zeros((n, 15), np.float32))
+        np.save(folder / "action.npy", np.zeros((n, 8), np.float32))
+        np.save(folder / "episode_ends.npy", np.arange(1, PACKED + 1) * LENGTH)
+        (folder / "pack.json").write_text('{"arrays": ["points", "state", "action"], "action_names": []}')
+        pack, times = Pack(folder), []
+        for _ in tracked(range(rounds), "window"):
+            frames = rng.integers(n, size=WINDOWS).tolist()
+            start = time.perf_counter()
+            for frame in frames:
+                pack.window("points", frame, before=1, after=0).copy()
+                pack.window("state", frame, before=1, after=0).copy()
+                pack.window("action", frame, before=1, after=14).copy()
+            times.append((time.perf_counter() - start) / WINDOWS)
+    return [
+        Figure(
+            f"random window of a pack ({POINTS} points)", f"<= {1e3 * MOST_WINDOW:g} ms",
+            f"{spread([1e3 * t for t in times], digits=4)} ms", float(np.median(times)) <= MOST_WINDOW, {"times": times},
+        )
+    ]  # fmt: skip
+
+
+def replay(task: Task) -> list[Figure]:
+    """Record episodes by planner and noise, simulate them again in a fresh process: every bit must agree."""
+    with tempfile.TemporaryDirectory() as folder:
+        dataset = DemonstrationDataset(folder, task=task.name, keep_failures=True)
+        action = np.zeros(np.count_nonzero(task.residual.scales), np.float32)
+        noisy = ResidualGenerator(Exploring(ConstantResidual(action), 0.5), name="noise")
+        generators: tuple[Generator, ...] = (PlannerOnly(), noisy)
+        for generator in generators:
+            collect(dataset, task, generator, Goal(None, REPLAYED // 2))
+        n = len(dataset)
+        done = subprocess.run(
+            [sys.executable, "-m", "dynaforge", "verify", folder, "--replay"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    exact = done.returncode == 0
+    said = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else done.stderr.strip()[-200:]
+    return [Figure(f"replay of {n} episodes in a fresh process", "all bits agree", said, exact, {"said": said})]
