@@ -75,7 +75,8 @@ def window(*, rounds: int) -> list[Figure]:
     return [
         Figure(
             f"random window of a pack ({POINTS} points)", f"<= {1e3 * MOST_WINDOW:g} ms",
-            f"{spread([1e3 * t for t in times], digits=4)} ms", float(np.median(times)) <= MOST_WINDOW, {"times": times},
+            f"{spread([1e3 * t for t in times], digits=4)} ms", float(np.median(times)) <= MOST_WINDOW,
+            {"times": times},
         )
     ]  # fmt: skip
 
