@@ -1,0 +1,43 @@
+"""A small dataset of every task: collected, verified, rendered, exported, and a page to look through it.
+
+    python examples/sample_datasets.py --out data --demos 20
+
+Any interruption: the same command goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from dynaforge.cli.main import main
+from dynaforge.tasks import TASK_NAMES
+
+
+def sample(task: str, out: Path, demos: int) -> None:
+    folder = out / task
+    steps = (
+        ["collect", "--task", task, "--demos", str(demos), "--out", str(folder)],
+        ["verify", str(folder), "--replay", "--audit"],
+        ["render", str(folder), "--cameras", "front", "wrist", "--points", "1024"],
+        ["export", str(folder), "--format", "lerobot"],
+        ["view", str(folder), "--limit", "8"],
+    )
+    for step in steps:
+        if step[0] == "export" and (out / f"{task}-lerobot").exists():
+            continue
+        print(f"\n$ dynaforge {' '.join(step)}")
+        if main(step):
+            print(f"{task}: `dynaforge {step[0]}` reported a problem")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("data"), help="a folder a task is made in it")
+    parser.add_argument("--demos", type=int, default=20, help="successes of each task")
+    parser.add_argument("--task", nargs="+", default=list(TASK_NAMES), choices=TASK_NAMES)
+    options = parser.parse_args()
+    for name in options.task:
+        sample(name, options.out, options.demos)
+    sys.exit(0)
