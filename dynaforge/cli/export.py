@@ -12,18 +12,18 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.demos import Episode
 from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
 from dynaforge.demos.exporters.frames import ACTIONS
 from dynaforge.demos.observations import FOLDER, ObservationFolder
 from dynaforge.reports.card import write_card
-from dynaforge.tasks import get_task
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `export`."""
     listed = "; ".join(f"{name}: {text}" for name, text in FORMATS.items())
-    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    add_dataset_arguments(parser)
     parser.add_argument("--format", required=True, choices=list(FORMATS), help=listed)
     parser.add_argument(
         "--actions", default="ee", choices=ACTIONS, help="end-effector pose or joint positions, and width"
@@ -34,14 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--failures", action="store_true", help="failed recordings too (collect --keep-failures)")
     parser.add_argument("--license", default="MIT", help="SPDX identifier for the card")
     parser.add_argument("--out", type=Path, help="new folder; by default FOLDER-FORMAT")
-    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
 
 
 def run(options: argparse.Namespace) -> int:
     """Export everything, whole or not at all."""
     write = exporter(options.format)
-    dataset = DemonstrationDataset(options.folder)
-    task = get_task(options.task_file or dataset.task)
+    dataset, task = open_dataset(options)
     source = options.folder.resolve()
     out = options.out or source.with_name(f"{source.name}-{options.format}")
     if out.exists():

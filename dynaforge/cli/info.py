@@ -4,27 +4,24 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from dynaforge.demos import Attempt, DemonstrationDataset, Episode
+from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.demos import Attempt, Episode
 from dynaforge.evaluation import DgrReport
-from dynaforge.tasks import get_task
 
 ACTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `info`."""
-    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
-    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
+    add_dataset_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print counts, rates, lengths, ranges and size."""
-    dataset = DemonstrationDataset(options.folder)
-    task = get_task(options.task_file or dataset.task)
+    dataset, task = open_dataset(options)
     attempts, episodes = dataset.attempts(), list(dataset)
     size = sum(path.stat().st_size for path in options.folder.rglob("*") if path.is_file())
     held = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"

@@ -52,6 +52,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments[1:])
     try:
         return int(module.run(options))
+    except BrokenPipeError:  # as with `| head`: nobody reads on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (ValueError, OSError, ImportError) as error:
         print(f"dynaforge {name}: {error}", file=sys.stderr)
         return 2

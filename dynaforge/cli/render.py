@@ -12,6 +12,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.observations import (
     FOLDER,
@@ -24,14 +25,14 @@ from dynaforge.demos.observations import (
 )
 from dynaforge.envs.processes import single_threaded, worker_context
 from dynaforge.sim.camera import Camera
-from dynaforge.tasks import Task, get_task
+from dynaforge.tasks import Task
 
 AT_A_TIME = 8  # episodes handed to a worker
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `render`."""
-    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    add_dataset_arguments(parser)
     parser.add_argument("--cameras", nargs="+", default=["front", "wrist"], help="of front, side, wrist, or your own")
     parser.add_argument(
         "--camera-file", type=Path, help="JSON list of cameras of your own: name, eye, look_at, up, in_hand, size, fov"
@@ -45,13 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )  # fmt: skip
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, help=f"folder of the observations (default: {FOLDER}/ in the dataset's)")
-    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
 
 
 def run(options: argparse.Namespace) -> int:
     """Render what is missing."""
-    dataset = DemonstrationDataset(options.folder)
-    task = get_task(options.task_file or dataset.task)
+    dataset, task = open_dataset(options)
     settings = _settings(options, task)
     if settings.points:
         _need_fpsample()

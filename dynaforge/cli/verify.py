@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from tqdm import tqdm
 
-from dynaforge.demos import DemonstrationDataset
+from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import verify
-from dynaforge.tasks import get_task
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `verify`."""
-    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    add_dataset_arguments(parser)
     parser.add_argument("--replay", action="store_true", help="simulate every recording again and compare all states")
     parser.add_argument(
         "--audit", action="store_true",
         help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
     )  # fmt: skip
-    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print every finding; returns 1 when there is any."""
-    dataset = DemonstrationDataset(options.folder)
-    replayer = Replayer(get_task(options.task_file or dataset.task)) if options.replay else None
+    dataset, task = open_dataset(options)
+    replayer = Replayer(task) if options.replay else None
     n, found = len(dataset), 0
     for findings in tqdm(
         verify(dataset, replayer=replayer, audited=options.audit), total=n + 1, leave=False, unit="file"

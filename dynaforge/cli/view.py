@@ -9,26 +9,24 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.demos import Episode
 from dynaforge.reports.viewer import Filmer, write_viewer
-from dynaforge.tasks import get_task
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `view`."""
-    parser.add_argument("folder", type=Path, help="folder of `dynaforge collect`")
+    add_dataset_arguments(parser)
     parser.add_argument(
         "--limit", type=int, default=40, help="recordings with clip and plots, spread over the difficulties"
     )
     parser.add_argument("--no-clips", action="store_true", help="plots only, in a tenth of the time")
     parser.add_argument("--out", type=Path, help="HTML file (default: view.html in the folder)")
-    parser.add_argument("--task-file", help="file of the task, where it is one of your own")
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the page."""
-    dataset = DemonstrationDataset(options.folder)
-    task = get_task(options.task_file or dataset.task)
+    dataset, task = open_dataset(options)
     attempts = dataset.attempts()
     recorded = set(dataset.ids())
     held = sorted((a for a in attempts if a.id in recorded), key=lambda attempt: attempt.difficulty)

@@ -2,7 +2,7 @@
 
 from dynaforge.evaluation.comparison import COLUMNS, PLANNER, ArmSummary, Comparison, StoredRun
 from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain, task_table
-from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, frontier_of_outcomes, trailing_mean
+from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, trailing_mean
 from dynaforge.evaluation.history import STRATA, Probe, TrainingHistory
 from dynaforge.evaluation.statistics import (
     BinComparison,
@@ -41,7 +41,6 @@ __all__ = [
     "bootstrap_over_tasks",
     "comparison_table",
     "describe_gain",
-    "frontier_of_outcomes",
     "mcnemar_exact",
     "no_bin_lost",
     "paired_difference",

@@ -45,22 +45,6 @@ class FrontierAnalysis:
         return np.asarray(_mean(self.trailing, axis=1))
 
 
-def frontier_of_outcomes(
-    outcomes: ArrayLike, *, window: int = WINDOW, smoothing: int = SMOOTHING, confidence: float = 0.95
-) -> FrontierAnalysis:
-    """Analyse single outcomes: success of rollout k of stratum i at update u, shape (U, N, K).
-
-    Raises:
-        ValueError: Not three-dimensional, or as `analyse_frontier`.
-    """
-    array = np.asarray(outcomes)
-    if array.ndim != 3:
-        raise ValueError(f"Outcomes must have shape (U, N, K), given {array.shape}.")
-    return analyse_frontier(
-        array.sum(axis=2), array.shape[2], window=window, smoothing=smoothing, confidence=confidence
-    )
-
-
 def analyse_frontier(
     successes: ArrayLike,
     trials: ArrayLike,

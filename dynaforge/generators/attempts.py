@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -40,7 +40,6 @@ def run_attempts(
     *,
     block: int = 0,
     workers: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Result]:
     """Attempt every condition and yield the results in order.
 
@@ -49,10 +48,9 @@ def run_attempts(
     Args:
         task: The task.
         generator: What attempts.
-        conditions: May be endless if `stop` ends it.
+        conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
         workers: Processes; all cores by default.
-        stop: Asked before another condition is handed out.
     """
     source = iter(conditions)
     crew = _Crew(task, generator, workers or os.cpu_count() or 1)
@@ -61,8 +59,7 @@ def run_attempts(
         while crew.running:
             result = crew.next_result()
             yield replace(result, attempt=replace(result.attempt, block=block))
-            if not stop():
-                crew.hand_out(islice(source, 1))
+            crew.hand_out(islice(source, 1))
     finally:
         crew.kill()
 

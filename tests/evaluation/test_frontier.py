@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaforge.evaluation import analyse_frontier, frontier_of_outcomes, trailing_mean, wilson_interval
+from dynaforge.evaluation import analyse_frontier, trailing_mean, wilson_interval
 
 
 def test_frontier_of_a_hand_made_run():
@@ -43,10 +43,9 @@ def test_trailing_window_is_eq_10():
     assert result[29] == pytest.approx(np.mean(values[10:]))
 
 
-def test_outcomes_and_counts_agree():
+def test_overall_success_is_that_of_all_outcomes():
     outcomes = np.random.default_rng(0).random((40, 5, 8)) < np.linspace(0.9, 0.2, 5)[None, :, None]
-    one, two = frontier_of_outcomes(outcomes), analyse_frontier(outcomes.sum(2), 8)
-    np.testing.assert_array_equal(one.depth, two.depth)
+    one = analyse_frontier(outcomes.sum(2), 8)
     np.testing.assert_allclose(one.overall, outcomes.mean((1, 2)))
     np.testing.assert_allclose(one.overall_trailing[-1], outcomes[-20:].mean())
 
@@ -61,7 +60,5 @@ def test_strata_without_trials_are_unknown_and_not_mastered():
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match=r"\(U, N\)"):
         analyse_frontier(np.zeros(3), 8)
-    with pytest.raises(ValueError, match=r"\(U, N, K\)"):
-        frontier_of_outcomes(np.zeros((3, 3)))
     with pytest.raises(ValueError, match="between 0 and"):
         analyse_frontier([[9]], 8)

@@ -2,12 +2,10 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator
 
 from faulty import Faulty
 
 from dynaforge.generators import PlannerOnly, Result, run_attempts
-from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
 
 TASK = get_task("can")
@@ -54,21 +52,6 @@ def test_a_worker_that_dies_while_the_caller_is_busy_does_not_end_the_run() -> N
         if len(results) == 1:
             time.sleep(1.0)  # as when an episode is written
     assert [r.attempt.success for r in results] == [True, False, True, True, True, True]
-
-
-def test_stop_hands_out_no_further_condition() -> None:
-    handed: list[Condition] = []
-
-    def endless() -> Iterator[Condition]:
-        for condition in SPACE.stream("val"):
-            handed.append(condition)
-            yield condition
-
-    results: list[Result] = []
-    for result in run_attempts(TASK, Faulty(), endless(), workers=1, stop=lambda: len(results) >= 2):
-        results.append(result)
-    assert [r.attempt.condition for r in results] == handed
-    assert len(results) <= 2 + 2
 
 
 def test_attempts_in_workers_are_those_of_this_process() -> None:

@@ -13,7 +13,7 @@ imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 Image = pytest.importorskip("PIL.Image")
 
 from dynaforge.demos import Attempt  # noqa: E402
-from dynaforge.evaluation import DgrReport, frontier_of_outcomes, paired_difference  # noqa: E402
+from dynaforge.evaluation import DgrReport, analyse_frontier, paired_difference  # noqa: E402
 from dynaforge.reports import (  # noqa: E402
     Clip,
     ReportData,
@@ -57,7 +57,7 @@ def mp4() -> bytes:
 
 def figures() -> dict[str, object]:
     outcomes = np.random.default_rng(0).random((30, 16, 8)) < np.linspace(1.0, 0.1, 16)[None, :, None]
-    analysis = frontier_of_outcomes(outcomes)
+    analysis = analyse_frontier(outcomes.sum(axis=2), 8)
     two = [report(0.4, "planner only"), report(0.8, "residual")]
     return {
         "curve": lambda fmt: learning_curve(
