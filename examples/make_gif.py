@@ -1,6 +1,6 @@
 """Film the same conditions twice, planner alone on the left, with the residual on the right: docs/can.gif.
 
-python examples/make_gif.py --task can --policy results/can/seed-0/policy.safetensors --out docs/can.gif
+python examples/make_gif.py --task can --policy assets/can/policy.safetensors --out docs/can.gif
 """
 
 from __future__ import annotations
