@@ -89,6 +89,7 @@ def test_a_toy_is_learned(variant):
     assert success_rate(model) > 0.85
 
 
+@pytest.mark.slow
 def test_cartpole_improves_with_equal_seeds_as_conditions():
     model = FrontierGRPO(
         "MlpPolicy", DummyVecEnv([lambda: Monitor(gym.make("CartPole-v1"))] * 16), learning_rate=3e-3, n_groups=4,

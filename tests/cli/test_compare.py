@@ -68,6 +68,7 @@ def test_a_run_survives_json(tmp_path: Path) -> None:
     assert RunSpec.from_json(spec.to_json()).folder == spec.folder
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(170)
 def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "SAVED_EVERY", 1)

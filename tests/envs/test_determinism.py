@@ -144,13 +144,15 @@ def vectorised_digests(envs: VecEnv) -> list[str]:
     return [digests[index] for index in range(n)]
 
 
-@pytest.mark.parametrize("n_envs", [1, 4, 16])
+@pytest.mark.parametrize("n_envs", [1, 4, pytest.param(16, marks=pytest.mark.slow)])
 def test_any_number_of_envs_in_this_process_gives_the_same_bits(n_envs: int, fresh: list[str]) -> None:
     envs = DummyVecEnv([traced_env] * n_envs)
     assert vectorised_digests(envs) == (fresh * n_envs)[:n_envs]
 
 
-@pytest.mark.parametrize("n_envs", [pytest.param(1, marks=pytest.mark.slow), 4, 16])
+@pytest.mark.parametrize(
+    "n_envs", [pytest.param(1, marks=pytest.mark.slow), 4, pytest.param(16, marks=pytest.mark.slow)]
+)
 def test_any_number_of_envs_in_workers_gives_the_same_bits(n_envs: int, fresh: list[str]) -> None:
     envs = SharedMemoryVecEnv([partial(traced_env)] * n_envs, n_workers=2)
     assert vectorised_digests(envs) == (fresh * n_envs)[:n_envs]
