@@ -43,8 +43,7 @@ def write_episode(path: str | Path, episode: Episode) -> None:
     Raises:
         OSError: The folder is missing or not writable, or the disk is full.
     """
-    body = _encode(episode)
-    atomic_write(path, seal(body) + body)
+    write_sealed(path, _encode(episode))
 
 
 def read_episode(path: str | Path) -> Episode:
@@ -66,8 +65,12 @@ def read_episode(path: str | Path) -> Episode:
     return episode
 
 
-def seal(body: bytes) -> bytes:
-    """Return the user block that stands before the bytes of a file."""
+def write_sealed(path: str | Path, body: bytes) -> None:
+    """Write an HDF5 file's bytes behind the user block that `check_seal` reads, whole or not at all."""
+    atomic_write(path, _seal(body) + body)
+
+
+def _seal(body: bytes) -> bytes:
     line = b"%s %d %s %d\n" % (_MAGIC, FORMAT_VERSION, hashlib.sha256(body).hexdigest().encode(), len(body))
     return line.ljust(_USER_BLOCK, b"\0")
 
@@ -81,7 +84,7 @@ def check_seal(path: str | Path, data: bytes) -> None:
     block, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
     if not block.startswith(_MAGIC):
         raise DamagedFileError(path, "it does not begin as an episode file")
-    if block != seal(body):
+    if block != _seal(body):
         raise DamagedFileError(path, "its bytes do not match the hash they were written with")
 
 
@@ -98,13 +101,17 @@ def _encode(episode: Episode) -> bytes:
 
 
 def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
-    steps: dict[str, NDArray[Any]] = {}
+    with h5py.File(io.BytesIO(data), "r") as file:
+        return json.loads(file.attrs["header"]), read_arrays(file["steps"]), str(file.attrs["content_hash"])
+
+
+def read_arrays(group: Any) -> dict[str, NDArray[Any]]:
+    """Read every dataset below an HDF5 group, by its path there."""
+    arrays: dict[str, NDArray[Any]] = {}
 
     def collect(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            steps[name] = np.asarray(item[()])
+            arrays[name] = np.asarray(item[()])
 
-    with h5py.File(io.BytesIO(data), "r") as file:
-        header = json.loads(file.attrs["header"])
-        file["steps"].visititems(collect)
-        return header, steps, str(file.attrs["content_hash"])
+    group.visititems(collect)
+    return arrays

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, seal
+from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, read_arrays, write_sealed
 from dynaforge.demos.replay import Replayer, first_difference
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
@@ -180,8 +180,7 @@ def write_observations(path: Path, episode: Episode, arrays: Mapping[str, NDArra
             pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
             chunks = (1, *array.shape[1:]) if image else None
             file.create_dataset(name, data=array, chunks=chunks, **pressed)
-    body = buffer.getvalue()
-    atomic_write(path, seal(body) + body)
+    write_sealed(path, buffer.getvalue())
 
 
 def read_observations(path: Path) -> dict[str, NDArray[Any]]:
@@ -193,18 +192,11 @@ def read_observations(path: Path) -> dict[str, NDArray[Any]]:
     """
     data = path.read_bytes()
     check_seal(path, data)
-    arrays: dict[str, NDArray[Any]] = {}
-
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            arrays[name] = np.asarray(item[()])
-
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            file.visititems(collect)
+            return read_arrays(file)
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedFileError(path, f"its content cannot be read ({error})") from error
-    return arrays
 
 
 class ObservationFolder:

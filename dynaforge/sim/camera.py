@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -130,9 +131,14 @@ def see(scene: SimScene, camera: Camera, ee: Pose) -> Image:
 
 def world_points(camera: Camera, image: Image) -> tuple[Array, NDArray[np.bool_]]:
     """Return the point that each pixel saw, world frame, metres, shape (H, W, 3), and whether it saw any, (H, W)."""
+    points = (_rays(camera) * image.depth[..., None]) @ image.pose.rotation.T + image.pose.position
+    return points, image.segmentation >= 0
+
+
+@lru_cache(maxsize=16)
+def _rays(camera: Camera) -> Array:
+    """Direction of each pixel in the camera's own axes, with z = 1, shape (H, W, 3): the same at every frame."""
     width, height = camera.size
     K = camera.intrinsics
     u, v = np.meshgrid(np.arange(width), np.arange(height))
-    rays = np.stack(((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)), axis=-1)
-    points = (rays * image.depth[..., None]) @ image.pose.rotation.T + image.pose.position
-    return points, image.segmentation >= 0
+    return np.stack(((u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)), axis=-1)
