@@ -7,7 +7,7 @@ STAMP := .venv/.installed
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow check bench clean
+.PHONY: help demo test test-slow test-lerobot check bench clean
 
 help: ## Print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -20,6 +20,11 @@ test: $(STAMP) ## Run the default test suite (under three minutes on two cores)
 
 test-slow: $(STAMP) ## Run the tests that take longer
 	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800 $(ARGS)
+
+test-lerobot: $(STAMP) ## Read exported datasets with LeRobot itself, in an environment of its own (a large download)
+	@test -x .venv-lerobot/bin/python || $(PYTHON) -m venv .venv-lerobot
+	.venv-lerobot/bin/python -m pip install --disable-pip-version-check lerobot==0.4.4
+	LEROBOT_PYTHON=.venv-lerobot/bin/python $(BIN)/python -m pytest -m slow tests/demos/exporters/test_lerobot_reader.py
 
 check: $(STAMP) ## Lint, formatting, types and the direction of imports
 	$(BIN)/ruff check .
@@ -39,6 +44,6 @@ $(STAMP): setup.cfg pyproject.toml constraints.txt
 	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,dev]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,viser,dev]"
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic  # its reader, not its vision models
 	@touch $(STAMP)

@@ -50,9 +50,12 @@ def run(options: argparse.Namespace) -> int:
 
     def frames() -> Iterator[Frames]:
         nonlocal names
-        fps = round(1 / task.scene.control_dt)
         found = read_frames(
-            dataset, fps=fps, actions=options.actions, observations=observations, failures=options.failures
+            dataset,
+            fps=task.scene.fps,
+            actions=options.actions,
+            observations=observations,
+            failures=options.failures,
         )
         for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
             kept.append(episode.episode)

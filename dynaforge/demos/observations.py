@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, read_arrays, write_sealed
-from dynaforge.demos.replay import Replayer, first_difference
+from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task
@@ -81,9 +81,6 @@ class ObservationRenderer:
     Args:
         task: The task.
         settings: What to render.
-
-    Raises:
-        ImportError: `fpsample`, of the `[data]` extra, is missing and points are wanted.
     """
 
     def __init__(self, task: Task, settings: ObservationSettings) -> None:
@@ -100,14 +97,11 @@ class ObservationRenderer:
         optical frame in the world; `points` (T, P, 3) float16, metres, world frame, and `point_colors` (T, P, 3) uint8.
 
         Raises:
+            ImportError: `fpsample`, of the `[data]` extra, is missing and points are wanted.
             ValueError: The episode cannot be simulated again, or its replay leaves the recording.
         """
         columns: dict[str, list[Any]] = {}
-        for step, state in enumerate(self._replayer.states(episode)):
-            if step == len(episode):
-                break
-            if divergence := first_difference(episode, step, state):
-                raise ValueError(f"Episode {episode.id} cannot be rendered: {divergence}.")
+        for state in self._replayer.recorded_states(episode):
             images = [see(self._replayer.scene, camera, state.ee) for camera in self._settings.cameras]
             for name, value in self._arrays(images):
                 columns.setdefault(name, []).append(value)

@@ -88,6 +88,19 @@ class Replayer:
         for q, width in zip(*references, strict=True) if len(episode) else ():
             yield self.scene.step(np.array(q), float(width))
 
+    def recorded_states(self, episode: Episode) -> Iterator[SceneState]:
+        """Simulate an episode again: yields the state at the beginning of each step, after comparing it.
+
+        While the caller looks at a state, `scene` is in it.
+
+        Raises:
+            ValueError: As `replay`, or a state differs from the recording.
+        """
+        for step, state in zip(range(len(episode)), self.states(episode), strict=False):
+            if divergence := first_difference(episode, step, state):
+                raise ValueError(f"Episode {episode.id} cannot be simulated again: {divergence}.")
+            yield state
+
     def close(self) -> None:
         """Release physics; legal twice."""
         self.scene.close()

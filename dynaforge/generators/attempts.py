@@ -51,6 +51,9 @@ def run_attempts(
         conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
         workers: Processes; all cores by default.
+
+    Raises:
+        RuntimeError: Workers cannot even start.
     """
     source = iter(conditions)
     crew = _Crew(task, generator, workers or os.cpu_count() or 1)
@@ -103,6 +106,13 @@ class _Crew:
     def _alone(self, condition: Condition) -> Result:
         pool = self._make(1)
         try:
+            try:
+                pool.submit(_ready).result(timeout=TIMEOUT)
+            except BrokenProcessPool as error:
+                raise RuntimeError(
+                    "Worker processes die as they start. A script that attempts conditions needs "
+                    "`if __name__ == '__main__':` around what it runs, since workers import it."
+                ) from error
             return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
         except (BrokenProcessPool, TimeoutError) as error:
             return self._lost(condition, type(error).__name__)
@@ -129,6 +139,10 @@ def _kill(pool: ProcessPoolExecutor) -> None:
 def _start(task: Task, generator: Generator) -> None:
     global _env, _generator
     _env, _generator = ResidualEnv(task), generator
+
+
+def _ready() -> None:
+    """Do nothing: a worker that can has started."""
 
 
 def _attempt(condition: Condition) -> Result:

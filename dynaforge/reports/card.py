@@ -40,7 +40,7 @@ def write_card(
     shown = [episodes[k] for k in np.linspace(0, len(episodes) - 1, min(SHOWN, len(episodes))).astype(int)]
     pictures, labels = _moments(task, shown)
     atomic_write(folder / SHEET, contact_sheet(pictures, labels, columns=MOMENTS, cell_width=240))
-    steps, fps = [len(e) for e in episodes], round(1 / task.scene.control_dt)
+    steps, fps = [len(e) for e in episodes], task.scene.fps
     report = DgrReport.from_attempts(attempts, difficulty_range=task.conditions.difficulty_range, label=task.env_name)
     generators = Counter(f"{e.generator} {e.meta.get('policy_hash', '')}".strip() for e in episodes)
     won = f"{sum(a.success for a in attempts)} of {len(attempts)} attempts; failures are not hidden"

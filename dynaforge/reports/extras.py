@@ -1,4 +1,4 @@
-"""Optional packages of the `[report]` extra, imported when a report needs them."""
+"""Optional packages, imported when a report needs them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import importlib
 from typing import Any
 
 
-def load_extra(module: str) -> Any:
-    """Import a module of the `[report]` extra.
+def load_extra(module: str, *, extra: str = "report") -> Any:
+    """Import a module that one of the package's extras brings.
 
     Raises:
         ImportError: It is not installed; the message says how to install it.
@@ -16,4 +16,4 @@ def load_extra(module: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.split(".")[0]
-        raise ImportError(f"Reports need {package!r}. Install it with: pip install 'dynaforge[report]'") from error
+        raise ImportError(f"This needs {package!r}. Install it with: pip install 'dynaforge[{extra}]'") from error

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,21 @@ PLOTS = (
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A recording on the page.
+
+    Attributes:
+        episode: Which.
+        clip: MP4 bytes, or None.
+        scenes: Files of it in three dimensions, relative to the page, by what the link says.
+    """
+
+    episode: Episode
+    clip: bytes | None = None
+    scenes: Mapping[str, str] = field(default_factory=dict)
+
+
 class Filmer:
     """Makes the clip of an episode from its replay, or from rendered pictures if they are there.
 
@@ -41,7 +56,7 @@ class Filmer:
     def __init__(self, task: Task) -> None:
         camera = replace(standard_cameras(task)["front"], size=SIZE)
         self._renderer = ObservationRenderer(task, ObservationSettings((camera,)))
-        self._fps = 1 / task.scene.control_dt
+        self._fps = task.scene.fps
 
     def film(self, episode: Episode) -> bytes:
         """Return it as MP4, one picture a control step."""
@@ -53,8 +68,7 @@ class Filmer:
 
 
 def write_viewer(
-    path: Path, task: Task, attempts: Sequence[Attempt], episodes: Iterable[tuple[Episode, bytes | None]], *,
-    title: str,
+    path: Path, task: Task, attempts: Sequence[Attempt], episodes: Iterable[Shown], *, title: str
 ) -> None:  # fmt: skip
     """Write the page, whole or not at all.
 
@@ -62,7 +76,7 @@ def write_viewer(
         path: Where.
         task: The task.
         attempts: All of them; those without a recording are listed with their reason.
-        episodes: Recordings to show, each with its clip or None.
+        episodes: Recordings to show.
         title: Headline.
     """
     low, high = task.conditions.difficulty_range
@@ -78,9 +92,9 @@ def write_viewer(
         }
         for a in attempts
     }  # fmt: skip
-    for episode, clip in episodes:
-        if episode.id in rows and len(episode):
-            rows[episode.id] |= _recording(episode, clip)
+    for shown in episodes:
+        if shown.episode.id in rows and len(shown.episode):
+            rows[shown.episode.id] |= _recording(shown)
     listed = sorted(rows.values(), key=lambda row: ("time" not in row, row["difficulty"]))
     # "</" inside a string would end the script element
     data = json.dumps(listed, allow_nan=False).replace("</", "<\\/")
@@ -88,7 +102,8 @@ def write_viewer(
     atomic_write(path, text.replace("/*DATA*/null", data).encode())
 
 
-def _recording(episode: Episode, clip: bytes | None) -> dict[str, Any]:
+def _recording(shown: Shown) -> dict[str, Any]:
+    episode, clip = shown.episode, shown.clip
     steps = episode.steps
     plots = []
     for title, names, labels in PLOTS:
@@ -116,6 +131,7 @@ def _recording(episode: Episode, clip: bytes | None) -> dict[str, Any]:
         "contact": episode.meta.get("contact_time"),
         "planned": episode.meta.get("planned_contact_time"),
         "values": {name: round(value, 4) for name, value in episode.condition.values.items()},
+        "scenes": dict(shown.scenes),
         "clip": base64.b64encode(clip).decode() if clip else None,
     }
 

@@ -85,6 +85,8 @@ function show(e) {
     "planned contact": e.planned == null ? "–" : e.planned.toFixed(2) + " s",
     "first contact": e.contact == null ? "–" : e.contact.toFixed(2) + " s", ...(e.values || {})};
   for (const [name, value] of Object.entries(told)) facts.append(make("dt", {}, name), make("dd", {}, String(value)));
+  for (const [name, path] of Object.entries(e.scenes || {}))
+    facts.append(make("dt", {}, name), make("dd", {}, make("a", {href: path, target: "_blank"}, "open")));
   const top = make("div", {id: "clip", className: "card"});
   if (e.clip) {
     video = make("video", {src: "data:video/mp4;base64," + e.clip, controls: true, loop: true, muted: true,

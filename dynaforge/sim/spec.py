@@ -171,6 +171,11 @@ class SceneSpec:
         """Physics substeps in one control step."""
         return round(self.control_dt / self.physics_dt)
 
+    @property
+    def fps(self) -> int:
+        """Control steps a second, a whole number as films and datasets have it."""
+        return round(1 / self.control_dt)
+
 
 def check_urdf(path: Path) -> None:
     """Make sure that a URDF is XML with one root link, since Bullet itself crashes on one with more.

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.generators import Goal, PlannerOnly, collect
+from dynaforge.reports.scene3d import SceneRecorder
 from dynaforge.reports.viewer import write_viewer
 from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
@@ -64,6 +68,47 @@ def test_a_reason_cannot_end_the_script(tmp_path: Path) -> None:
     assert "</script><b>" not in text
     assert "<i>" not in text
     assert embedded(tmp_path / "v.html")[0]["failure"] == "</script><b>"
+
+
+def test_scenes_in_three_dimensions_are_linked(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    page = tmp_path / "page.html"
+    assert main(["view", str(data), "--limit", "1", "--no-clips", "--viser", "--out", str(page)]) == 0
+    (row,) = [row for row in embedded(page) if "time" in row]
+    assert row["scenes"] == {"scene in 3-D": f"page-scenes/{row['id']}.html"}
+    text = (tmp_path / f"page-scenes/{row['id']}.html").read_text()
+    assert "__VISER_EMBED_DATA__" in text
+
+
+def test_every_link_is_drawn_where_the_episode_had_it(data: Path) -> None:
+    pytest.importorskip("trimesh")
+    dataset = DemonstrationDataset(data)
+    episode = dataset[dataset.ids()[0]]
+    recorder = SceneRecorder(get_task("can"))
+    scene = recorder.record(episode)
+    recorder.close()
+    assert {name for name, _ in scene.meshes} == {"robot", "table", "can"}
+    for step in (0, len(episode) - 1):
+        np.testing.assert_allclose(scene.poses["can", -1][step].position, episode.steps["object/can/position"][step])
+    low, high = scene.meshes["can", -1].bounds
+    np.testing.assert_allclose(high - low, (0.066, 0.066, 0.12), atol=2e-3)
+    left, right = (scene.poses["robot", link] for link in (9, 10))
+    apart = np.linalg.norm([a.position - b.position for a, b in zip(left, right, strict=True)], axis=1)
+    np.testing.assert_allclose(apart, episode.steps["width"], atol=2e-3)
+
+
+def test_a_missing_extra_is_named_before_the_work(data: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main(["view", str(data), "--rerun"]) != 0
+    assert "pip install 'dynaforge[rerun]'" in capsys.readouterr().err
+
+
+def test_a_recording_for_rerun(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    page = tmp_path / "page.html"
+    assert main(["view", str(data), "--limit", "1", "--no-clips", "--rerun", "--out", str(page)]) == 0
+    (recording,) = (tmp_path / "page-scenes").glob("*.rrd")
+    assert recording.read_bytes()[:4] == b"RRF2"
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no Chromium here")

@@ -191,7 +191,7 @@ def _write_meta(folder: Path, task: Task, done: _Written) -> None:
     info = {
         "codebase_version": VERSION, "robot_type": "franka", "total_episodes": len(done.rows),
         "total_frames": done.frames, "total_tasks": 1, "chunks_size": CHUNK, "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200, "fps": _fps(task), "splits": {"train": f"0:{len(done.rows)}"},
+        "video_files_size_in_mb": 200, "fps": task.scene.fps, "splits": {"train": f"0:{len(done.rows)}"},
         "data_path": DATA, "video_path": VIDEO if done.pictures else None, "features": done.features,
     }  # fmt: skip
     meta = folder / "meta"
@@ -200,7 +200,3 @@ def _write_meta(folder: Path, task: Task, done: _Written) -> None:
     pd.DataFrame({"task_index": [0]}, index=pd.Index([_sentence(task)], name="task")).to_parquet(meta / "tasks.parquet")
     (meta / "stats.json").write_text(json.dumps(stats, indent=1))
     (meta / "info.json").write_text(json.dumps(info, indent=1))
-
-
-def _fps(task: Task) -> int:
-    return round(1 / task.scene.control_dt)

@@ -11,37 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaforge.demos import DemonstrationDataset
-from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
+from dynaforge.demos.exporters import FORMATS, Frames, exporter
 from dynaforge.demos.exporters.frames import without_jumps
-from dynaforge.demos.observations import (
-    ObservationFolder,
-    ObservationRenderer,
-    ObservationSettings,
-    standard_cameras,
-    write_observations,
-)
-from dynaforge.generators import Goal, PlannerOnly, collect
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
 FPS = 30
-
-
-@pytest.fixture(scope="module")
-def episodes(tmp_path_factory: pytest.TempPathFactory) -> list[Frames]:
-    """Three recordings of Can, with small pictures and points."""
-    pytest.importorskip("fpsample")
-    folder = tmp_path_factory.mktemp("data")
-    dataset = DemonstrationDataset(folder, task="can", keep_failures=True)
-    collect(dataset, CAN, PlannerOnly(), Goal(None, 3), workers=1)
-    camera = replace(standard_cameras(CAN)["front"], size=(32, 24))
-    seen = ObservationFolder(folder / "observations", ObservationSettings((camera,), points=16))
-    renderer = ObservationRenderer(CAN, seen.settings)
-    for episode in dataset:
-        write_observations(seen.file_of(episode.id), episode, renderer.render(episode), renderer.things())
-    renderer.close()
-    return list(read_frames(dataset, fps=FPS, observations=seen, failures=True))
 
 
 def test_frames_hold_what_was_recorded(episodes: list[Frames]) -> None:

@@ -1,0 +1,37 @@
+"""Recordings to export."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.exporters import Frames, read_frames
+from dynaforge.demos.observations import (
+    ObservationFolder,
+    ObservationRenderer,
+    ObservationSettings,
+    standard_cameras,
+    write_observations,
+)
+from dynaforge.generators import Goal, PlannerOnly, collect
+from dynaforge.tasks import get_task
+
+CAN = get_task("can")
+
+
+@pytest.fixture(scope="module")
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> list[Frames]:
+    """Three recordings of Can, with small pictures and points."""
+    pytest.importorskip("fpsample")
+    folder = tmp_path_factory.mktemp("data")
+    dataset = DemonstrationDataset(folder, task="can", keep_failures=True)
+    collect(dataset, CAN, PlannerOnly(), Goal(None, 3), workers=1)
+    camera = replace(standard_cameras(CAN)["front"], size=(32, 24))
+    seen = ObservationFolder(folder / "observations", ObservationSettings((camera,), points=16))
+    renderer = ObservationRenderer(CAN, seen.settings)
+    for episode in dataset:
+        write_observations(seen.file_of(episode.id), episode, renderer.render(episode), renderer.things())
+    renderer.close()
+    return list(read_frames(dataset, fps=CAN.scene.fps, observations=seen, failures=True))
