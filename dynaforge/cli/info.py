@@ -8,9 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
 from dynaforge.evaluation import DgrReport
+from dynaforge.tasks import Task
 
+PARTS = 16  # of a condition's range
 ACTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
@@ -33,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         report = DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=name)
         print(f"\n{report.table()}\n{_wall(made)}")
     if episodes:
-        print(f"\n{lengths(episodes)}\n{residuals(episodes)}")
+        print(f"\n{lengths(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
     return 0
 
 
@@ -61,6 +64,17 @@ def residuals(episodes: Sequence[Episode]) -> str:
         f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(ACTIONS, low, middle, high, strict=False)
     ]
     return "residual while gated (m, rad, m), 1 %, 50 % and 99 % quantile:\n" + "\n".join(lines)
+
+
+def coverage(episodes: Sequence[Episode], task: Task) -> str:
+    """Say how evenly the recordings fill the range of each condition."""
+    lines = []
+    for name, (low, high) in task.conditions.ranges.items():
+        values = [episode.condition.values[name] for episode in episodes]
+        counts, _ = np.histogram(values, bins=PARTS, range=(low, high))
+        bars = sparkline(count / counts.max() if count else np.nan for count in counts.tolist())
+        lines.append(f"  {name:<11} {low:>8.4g} {bars} {high:<8.4g} {np.count_nonzero(counts)} of {PARTS} parts")
+    return f"recordings over the range of each condition, in {PARTS} equal parts:\n" + "\n".join(lines)
 
 
 def _wall(attempts: Sequence[Attempt]) -> str:

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli.sparkline import sparkline
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
 from dynaforge.envs.residual_env import ResidualEnv
@@ -30,7 +31,6 @@ from dynaforge.evaluation.history import STRATA, TrainingHistory
 from dynaforge.registration import env_id
 from dynaforge.tasks import Task
 
-BARS = "▁▂▃▄▅▆▇█"
 LIKE = "DynaForge/Can-v0"  # whose settings a task that is not listed takes
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
@@ -215,7 +215,7 @@ def describe_update(history: TrainingHistory) -> str:
     """Put the last update's success, overall and by stratum, in a few characters."""
     last = history.frontier()
     rates = last.success[-1]
-    strata = "".join(" " if np.isnan(r) else BARS[round(float(r) * (len(BARS) - 1))] for r in rates)
+    strata = sparkline(rates)
     return f"success {last.overall[-1]:4.0%}, easy {strata} hard"
 
 
