@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -56,8 +57,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
-        print(f"dynaforge {name}: {error}", file=sys.stderr)
+        print(f"dynaforge {name}: {error}{_remedy(error)}", file=sys.stderr)
         return 2
+
+
+def _remedy(error: Exception) -> str:
+    full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return ". Files that are there are whole; make room, then run the same command again" if full else ""
 
 
 def _overview(name: str) -> int:

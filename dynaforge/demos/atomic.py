@@ -6,7 +6,7 @@ import contextlib
 import os
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 _TEMPORARY = ".tmp"
@@ -29,16 +29,28 @@ def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> N
     final = Path(path)
     temporary = final.with_name(f".{uuid.uuid4().hex}{_TEMPORARY}{final.suffix}")
     try:
-        if callable(content):
-            content(temporary)
-            _sync(temporary, os.O_RDWR)
-        else:
-            _write_bytes(temporary, content)
+        with naming(final):
+            if callable(content):
+                content(temporary)
+                _sync(temporary, os.O_RDWR)
+            else:
+                _write_bytes(temporary, content)
         os.replace(temporary, final)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(final.parent)
+
+
+@contextlib.contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Give errors of calls that know a descriptor only, such as "No space left on device", the name of the file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _write_bytes(path: Path, content: bytes) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dynaforge.demos.atomic import naming
 from dynaforge.demos.episode import Episode, check_outcome, episode_id
 from dynaforge.sim import Condition
 
@@ -115,10 +116,11 @@ class Ledger:
             # A writer that was killed may have left half a line: begin a fresh one. A superfluous break is harmless.
             if size and os.pread(descriptor, 1, size - 1) != b"\n":
                 line = b"\n" + line
-            if os.write(descriptor, line) != len(line):
-                raise OSError(errno.ENOSPC, "only part of a ledger line could be written", str(self.path))
-            if self.fsync:
-                os.fsync(descriptor)
+            with naming(self.path):
+                if os.write(descriptor, line) != len(line):
+                    raise OSError(errno.ENOSPC, "only part of a ledger line could be written")
+                if self.fsync:
+                    os.fsync(descriptor)
         finally:
             os.close(descriptor)
 

@@ -123,8 +123,9 @@ def write_viser(path: Path, scene: Scene3D) -> None:
         for step, text in enumerate(_labels(scene.episode)):
             if label.text != text:
                 label.text = text
-            for link, frame in links.items():
-                frame.position, frame.wxyz = scene.poses[link][step].position, scene.poses[link][step].quat_wxyz
+            for key, frame in links.items():
+                pose = scene.poses[key][step]
+                frame.position, frame.wxyz = pose.position, pose.quat_wxyz
             recording.insert_sleep(1 / scene.task.scene.fps)
         page = recording.as_html()
     finally:

@@ -1,8 +1,14 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dynaforge.cli.main import main
@@ -47,3 +53,33 @@ def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureF
     stored = json.loads((tmp_path / "seen" / "settings.json").read_text())["cameras"][0]
     assert stored["name"] == "top"
     assert stored["intrinsics"][2] == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_killed_at_random_instants_it_ends_with_the_same_files(data: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+
+    def start(out: Path) -> subprocess.Popen[bytes]:
+        command = ["render", str(data), "--out", str(out), "--cameras", "front", "--points", "64"]
+        return subprocess.Popen(
+            [sys.executable, "-m", "dynaforge", *command],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    for _ in range(20):
+        process = start(killed)
+        time.sleep(rng.uniform(2.0, 10.0))
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        if (killed / "settings.json").is_file():
+            folder = ObservationFolder(killed)
+            for path in killed.glob("[!.]*.h5"):
+                assert len(folder[path.stem]["points"]) > 0, "whole, or not there"
+    assert [start(killed).wait(), start(whole).wait()] == [0, 0]
+    first, second = ObservationFolder(killed), ObservationFolder(whole)
+    for name in DemonstrationDataset(data).ids():
+        assert first[name].keys() == second[name].keys()
+        for key, column in first[name].items():
+            np.testing.assert_array_equal(column, second[name][key], err_msg=key)

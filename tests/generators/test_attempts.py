@@ -1,8 +1,12 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 import time
+from pathlib import Path
 
+import pytest
 from faulty import Faulty
 
 from dynaforge.generators import PlannerOnly, Result, run_attempts
@@ -62,3 +66,16 @@ def test_attempts_in_workers_are_those_of_this_process() -> None:
     env.close()
     there = [result.episode for result in run_attempts(TASK, PlannerOnly(), CONDITIONS[:3], workers=1)]
     assert [e.content_hash() for e in there if e] == [e.content_hash() for e in here]
+
+
+@pytest.mark.slow
+def test_a_script_that_workers_cannot_import_is_told_so(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from itertools import islice\nfrom dynaforge.generators import PlannerOnly, run_attempts\n"
+        "from dynaforge.tasks import get_task\ntask = get_task('can')\n"
+        "list(run_attempts(task, PlannerOnly(), islice(task.conditions.stream('val'), 2), workers=1))\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "needs `if __name__ == '__main__':` around" in done.stderr.splitlines()[-1]

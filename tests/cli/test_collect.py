@@ -1,0 +1,51 @@
+"""Collecting onto a disk that is full, and into folders that are none."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli.main import main
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.verification import verify
+
+
+def test_a_full_disk_costs_nothing_that_was_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "data"
+    command = ["collect", "--generator", "planner_only", "--attempts", "4", "--keep-failures", "--workers", "1"]
+    room, write = 150_000, os.write
+
+    def until_full(descriptor: int, data: bytes) -> int:
+        nonlocal room
+        if descriptor <= 2:  # the terminal
+            return write(descriptor, data)
+        if room < len(data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        room -= len(data)
+        return write(descriptor, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", until_full)
+        assert main([*command, "--out", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert f"No space left on device: '{folder}" in said
+    assert "make room, then run the same command again" in said
+    dataset = DemonstrationDataset(folder)
+    assert 0 < len(dataset) < 4
+    assert not [finding for findings in verify(dataset) for finding in findings]
+    held = {episode.id: episode.content_hash() for episode in dataset}
+    assert main([*command, "--out", str(folder)]) == 0
+    after = {episode.id: episode.content_hash() for episode in DemonstrationDataset(folder)}
+    assert held.items() <= after.items()
+    assert len(after) == 4
+
+
+def test_a_folder_that_cannot_be_is_named_before_the_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    assert main(["collect", "--generator", "planner_only", "--out", str(tmp_path / "file" / "below")]) == 2
+    assert str(tmp_path / "file") in capsys.readouterr().err
