@@ -167,7 +167,7 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
         model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
         limit = TimeLimit(history, seconds=seconds, updates=options.updates)
         try:
-            monitor = TrainingMonitor(history, task.conditions.difficulty_range, between_updates)
+            monitor = TrainingMonitor(history, task.conditions, between_updates)
             model.learn(int(settings["n_timesteps"]), callback=monitor)
         except KeyboardInterrupt:
             interrupted = True

@@ -162,7 +162,7 @@ def perform(spec: RunSpec) -> None:
 
     left = spec.steps - model.num_timesteps
     if left > 0:
-        monitor = training.TrainingMonitor(history, task.conditions.difficulty_range, between_updates)
+        monitor = training.TrainingMonitor(history, task.conditions, between_updates)
         model.learn(left, callback=monitor, reset_num_timesteps=not checkpoint.is_file())
     env.close()
     history.save(stored)

@@ -29,7 +29,7 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.evaluation.history import STRATA, TrainingHistory
 from dynaforge.registration import env_id
-from dynaforge.tasks import Task
+from dynaforge.tasks import ConditionSpace, Task
 
 LIKE = "DynaForge/Can-v0"  # whose settings a task that is not listed takes
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
@@ -99,18 +99,18 @@ class TrainingMonitor(BaseCallback):
 
     Args:
         history: Filled as training goes; a resumed run's holds what went before.
-        difficulty_range: Of the task; episodes are counted in equal strata of it.
+        conditions: Of the task; episodes are counted in equal strata of difficulty.
         between_updates: Called between two updates with the number of updates made so far, and at the end; False
             ends training.
     """
 
     def __init__(
-        self, history: TrainingHistory, difficulty_range: tuple[float, float],
+        self, history: TrainingHistory, conditions: ConditionSpace,
         between_updates: Callable[[int], bool] = lambda updates: True,
     ) -> None:  # fmt: skip
         super().__init__()
         self.history = history
-        self._range = difficulty_range
+        self._conditions = conditions
         self._between_updates = between_updates
         self._optimizer_steps = history.optimizer_steps[-1] if history.optimizer_steps else 0
         self._collected = self._goes_on = True
@@ -133,8 +133,7 @@ class TrainingMonitor(BaseCallback):
         infos = self.locals["infos"]
         for row in np.flatnonzero(self.locals["dones"]).tolist():
             info = infos[row]
-            low, high = self._range
-            stratum = min(int((info["difficulty"] - low) / (high - low) * STRATA), STRATA - 1)
+            stratum = self._conditions.stratum(info["difficulty"], STRATA)
             self._trials[stratum] += 1
             self._successes[stratum] += info["is_success"]
         return self._goes_on

@@ -177,20 +177,30 @@ def write_observations(path: Path, episode: Episode, arrays: Mapping[str, NDArra
     write_sealed(path, buffer.getvalue())
 
 
-def read_observations(path: Path) -> dict[str, NDArray[Any]]:
+def read_observations(path: Path, *, of: Episode | None = None) -> dict[str, NDArray[Any]]:
     """Read the observations of an episode after checking every byte.
+
+    Args:
+        path: Their file.
+        of: The episode they are to belong to, to the bit.
 
     Raises:
         FileNotFoundError: There are none.
         DamagedFileError: The file was altered or cut off.
+        ValueError: They were rendered from another recording.
     """
     data = path.read_bytes()
     check_seal(path, data)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            return read_arrays(file)
+            arrays, rendered = read_arrays(file), str(file.attrs["content_hash"])
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedFileError(path, f"its content cannot be read ({error})") from error
+    if of is not None and of.content_hash() != rendered:
+        raise ValueError(
+            f"{path} was rendered from another recording than episode {of.id}; remove it and render again."
+        )
+    return arrays
 
 
 class ObservationFolder:
@@ -229,3 +239,11 @@ class ObservationFolder:
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
         """Read the observations of an episode, as `read_observations`."""
         return read_observations(self.file_of(episode_id))
+
+    def of(self, episode: Episode) -> dict[str, NDArray[Any]]:
+        """Read the observations of this very recording.
+
+        Raises:
+            FileNotFoundError, DamagedFileError, ValueError: As `read_observations`.
+        """
+        return read_observations(self.file_of(episode.id), of=episode)

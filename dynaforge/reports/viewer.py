@@ -79,15 +79,10 @@ def write_viewer(
         episodes: Recordings to show.
         title: Headline.
     """
-    low, high = task.conditions.difficulty_range
-
-    def stratum(difficulty: float) -> int:
-        return min(max(int((difficulty - low) / (high - low) * STRATA), 0), STRATA - 1)
-
     rows: dict[str, dict[str, Any]] = {
         a.id: {
             "id": a.id, "ok": a.success, "failure": a.failure, "difficulty": round(a.difficulty, 4),
-            "stratum": stratum(a.difficulty), "generator": a.generator, "phase": a.phase,
+            "stratum": task.conditions.stratum(a.difficulty, STRATA), "generator": a.generator, "phase": a.phase,
             "duration": round(a.duration, 2),
         }
         for a in attempts

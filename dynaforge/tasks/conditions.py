@@ -40,6 +40,11 @@ class ConditionSpace:
         """Lowest and highest nominal difficulty."""
         return self.ranges[self.difficulty]
 
+    def stratum(self, difficulty: float, n_strata: int) -> int:
+        """Which of `n_strata` equal parts of its range a difficulty falls into; the ends belong to the outer ones."""
+        low, high = self.difficulty_range
+        return min(max(int((difficulty - low) / (high - low) * n_strata), 0), n_strata - 1)
+
     def draw(self, rng: np.random.Generator, stratum: int | None = None, n_strata: int = 1) -> Condition:
         """Draw one condition.
 

@@ -100,6 +100,9 @@ def test_files_give_back_what_was_written_and_notice_damage(tmp_path: Path) -> N
     for name, array in arrays.items():
         np.testing.assert_array_equal(back[name], array)
         assert back[name].dtype == array.dtype
+    assert read_observations(path, of=episode).keys() == arrays.keys()
+    with pytest.raises(ValueError, match="rendered from another recording"):
+        read_observations(path, of=episode_of("can", steps=3))
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)

@@ -33,6 +33,7 @@ def test_a_stratified_draw_falls_into_its_stratum(space: ConditionSpace, n_strat
             condition = space.draw(rng, stratum, n_strata)
             assert edges[stratum] - 1e-12 <= condition.difficulty <= edges[stratum + 1] + 1e-12
             assert space.validate(condition) is condition
+            assert space.stratum(condition.difficulty, n_strata) == stratum
 
 
 def test_a_stratum_is_the_numbered_part_of_the_range() -> None:
@@ -41,6 +42,7 @@ def test_a_stratum_is_the_numbered_part_of_the_range() -> None:
     drawn = [TOY.draw(rng, 3, 4).difficulty for _ in range(200)]
     assert 6.0 <= min(drawn) < 6.1
     assert 7.9 < max(drawn) <= 8.0
+    assert [TOY.stratum(d, 4) for d in (0.0, 1.9, 2.0, 5.9, 8.0)] == [0, 0, 1, 2, 3]
 
 
 def test_draws_without_a_stratum_fill_the_whole_range_evenly() -> None:

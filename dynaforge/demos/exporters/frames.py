@@ -100,9 +100,7 @@ def read_frames(
         raise ValueError(f"Actions are one of {', '.join(ACTIONS)}, not {actions!r}.")
     for episode in dataset:
         if len(episode) and (episode.success or failures):
-            seen = observations[episode.id] if observations is not None else {}
-            if seen and any(len(column) != len(episode) for column in seen.values()):
-                raise ValueError(f"Episode {episode.id} was rendered from another recording; render it again.")
+            seen = observations.of(episode) if observations is not None else {}
             yield _frames(episode, seen, fps=fps, actions=actions)
 
 
