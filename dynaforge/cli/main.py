@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import errno
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 
 COMMANDS = {
@@ -52,13 +55,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     module.add_arguments(parser, name)
     options = parser.parse_args(arguments[1:])
     try:
-        return int(module.run(options))
+        with _sigterm_as_ctrl_c():
+            return int(module.run(options))
+    except KeyboardInterrupt:
+        return 130
     except BrokenPipeError:  # as with `| head`: nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
         print(f"dynaforge {name}: {error}{_remedy(error)}", file=sys.stderr)
         return 2
+
+
+@contextlib.contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM, which a batch system sends before it kills, end a command as Ctrl-C does: cleaned up."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _remedy(error: Exception) -> str:

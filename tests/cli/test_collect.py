@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -49,3 +52,31 @@ def test_a_folder_that_cannot_be_is_named_before_the_work(tmp_path: Path, capsys
     (tmp_path / "file").write_bytes(b"")
     assert main(["collect", "--generator", "planner_only", "--out", str(tmp_path / "file" / "below")]) == 2
     assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "dynaforge", "collect", "--generator", "planner_only", "--attempts", "5000"]
+    process = subprocess.Popen(
+        [*command, "--workers", "1", "--out", str(tmp_path / "data")],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True,
+    )  # fmt: skip
+    ledger = tmp_path / "data" / "ledger.jsonl"
+    deadline = time.monotonic() + 60
+    while not (ledger.is_file() and ledger.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.terminate()
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert "the same command goes on" in said
+    deadline = time.monotonic() + 10
+    while _alive(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _alive(process.pid), "no worker is left behind"
+
+
+def _alive(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
