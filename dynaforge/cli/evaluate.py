@@ -143,8 +143,7 @@ def _gains(task: Task, measured: dict[str, list[Attempt]]) -> dict[str, Any]:
 
 def _evenly_spread(task: Task, attempts: list[Attempt]) -> bool:
     """Tell whether attempt i lies in bin i modulo BINS, as `--strata` draws them."""
-    low, high = task.conditions.difficulty_range
-    return all(int((a.difficulty - low) / (high - low) * BINS) == i % BINS for i, a in enumerate(attempts))
+    return all(task.conditions.stratum(a.difficulty, BINS) == i % BINS for i, a in enumerate(attempts))
 
 
 def _write(

@@ -156,10 +156,9 @@ def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -
     )
     sampled = zoo.sample_hyperparameters(trial, n_actions=7, n_envs=1, additional_args={})
     assert set(sampled) <= set(inspect.signature(FrontierGRPO.__init__).parameters)
-    FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
-    assert sampled["policy_kwargs"]["log_std_init"] == pytest.approx(
-        -0.6931471805599453
-    )  # log of the widest sigma, 0.5
+    model = FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
+    assert sampled["policy_kwargs"]["log_std_init"] == -0.7
+    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([3e-3, 1.5e-3, 0.0])
 
 
 def train_and_enjoy(folder: Path, *, train: list[str], enjoy: list[str]) -> tuple[str, str]:
