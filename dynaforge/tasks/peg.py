@@ -13,20 +13,17 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.picking import from_rack
+from dynaforge.tasks.insertion import from_rack, into
 from dynaforge.tasks.predicates import (
     All,
     Around,
     Fallen,
     Not,
     OnTable,
-    Reached,
-    Released,
     Upright,
     Within,
 )
-from dynaforge.tasks.targets import Over
-from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+from dynaforge.tasks.task import ResidualSpec, Task
 
 LENGTH = 0.09
 TIP = (0.0, 0.0, -LENGTH / 2)
@@ -99,27 +96,9 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         *from_rack("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
-        # The fingers centre themselves slowly, so the peg in the hand is measured anew before every step closer.
-        Phase(
-            "carry", Mode.GLOBAL, Over("hole", "peg", HOVER, TIP, upright=True), width=0.0, takes_hold=True,
-            done=Reached(0.02), timeout=2.0, failure="not carried", fails=IN_HAND,
-        ),
-        Phase(
-            "align", Mode.IK, Over("hole", "peg", HOVER, TIP, upright=True), width=0.0, gate=True, takes_hold=True,
-            done=Within("peg", "hole", 0.008, HOVER + 0.008, TIP), hold=1 / 15, timeout=1.5, failure="lost hole",
-            fails=IN_HAND,
-        ),
-        Phase(
-            "enter", Mode.IK, Over("hole", "peg", ENTERED, TIP, upright=True), width=0.0, gate=True,
-            done=Within("peg", "hole", 0.006, DEPTH - 0.005, TIP), timeout=0.8, failure="missed hole", fails=IN_HAND,
-        ),
-        Phase(
-            "insert", Mode.IK, Over("hole", "peg", INSERTED, TIP, upright=True), width=0.0, gate=True,
-            done=INSIDE, timeout=0.8, failure="jammed", fails=IN_HAND,
-        ),
-        Phase(
-            "release", Mode.IK, Over("hole", "peg", INSERTED, TIP, upright=True), width=0.08, gate=True,
-            done=All((INSIDE, Released("peg"))), hold=0.25, timeout=1.2, failure="not released",
+        *into(
+            "peg", "hole", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.008,
+            entered=Within("peg", "hole", 0.006, DEPTH - 0.005, TIP), inside=INSIDE, fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("peg")), ("dropped", OnTable("peg"))),

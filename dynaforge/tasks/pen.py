@@ -13,20 +13,17 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.picking import from_rack
+from dynaforge.tasks.insertion import from_rack, into
 from dynaforge.tasks.predicates import (
     All,
     Around,
     Fallen,
     Not,
     OnTable,
-    Reached,
-    Released,
     Upright,
     Within,
 )
-from dynaforge.tasks.targets import Over
-from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+from dynaforge.tasks.task import ResidualSpec, Task
 
 LENGTH = 0.14
 TIP = (0.0, 0.0, -LENGTH / 2)
@@ -106,27 +103,9 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         *from_rack("pen", grip=GRIP, precision=0.006, lift=0.12, clear=0.10),
-        # The fingers centre themselves slowly, so the pen in the hand is measured anew before every step closer.
-        Phase(
-            "carry", Mode.GLOBAL, Over("holder", "pen", HOVER, TIP, upright=True), width=0.0, takes_hold=True,
-            done=Reached(0.02), timeout=2.0, failure="not carried", fails=IN_HAND,
-        ),
-        Phase(
-            "align", Mode.IK, Over("holder", "pen", HOVER, TIP, upright=True), width=0.0, gate=True, takes_hold=True,
-            done=Within("pen", "holder", 0.012, HOVER + 0.012, TIP), hold=1 / 15, timeout=1.5, failure="lost holder",
-            fails=IN_HAND,
-        ),
-        Phase(
-            "enter", Mode.IK, Over("holder", "pen", ENTERED, TIP, upright=True), width=0.0, gate=True,
-            done=Within("pen", "holder", 0.02, DEPTH - 0.01, TIP), timeout=0.8, failure="missed holder", fails=IN_HAND,
-        ),
-        Phase(
-            "insert", Mode.IK, Over("holder", "pen", INSERTED, TIP, upright=True), width=0.0, gate=True,
-            done=INSIDE, timeout=0.8, failure="jammed", fails=IN_HAND,
-        ),
-        Phase(
-            "release", Mode.IK, Over("holder", "pen", INSERTED, TIP, upright=True), width=0.08, gate=True,
-            done=All((INSIDE, Released("pen"))), hold=0.25, timeout=1.2, failure="not released",
+        *into(
+            "pen", "holder", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.012,
+            entered=Within("pen", "holder", 0.02, DEPTH - 0.01, TIP), inside=INSIDE, fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("pen")), ("dropped", OnTable("pen"))),
