@@ -8,21 +8,18 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.choices import check_choice, condition_from_options
+from dynaforge.envs.base import WorldEnv, check_choice
 from dynaforge.envs.executor import PhaseExecutor
-from dynaforge.envs.observation import LIMIT, ObservationBuilder, is_finite
-from dynaforge.envs.rendering import Renderer
-from dynaforge.envs.world import World
+from dynaforge.envs.observation import LIMIT, ObservationBuilder
 from dynaforge.geometry import Array
-from dynaforge.sim import Condition
-from dynaforge.tasks import ConditionSpace, Task, get_task
+from dynaforge.tasks import Task
 
 Observation = NDArray[np.float32]
 
 GATE_MODES = ("skip", "mask")
 
 
-class ResidualEnv(gym.Env[Observation, Observation]):
+class ResidualEnv(WorldEnv):
     """A task with its planning prior inside: the action only corrects it.
 
     One step is one decision: a residual held for up to `decision_steps` control steps, cut short where the gate
@@ -42,8 +39,6 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         ValueError: Unknown task, gate mode, render mode or frame.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
-
     def __init__(
         self,
         task: str | Task = "can",
@@ -53,14 +48,11 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         lead_time: float = 0.0,
         residual_frame: str | None = None,
     ) -> None:
-        self.task = get_task(task) if isinstance(task, str) else task
-        self.residual_frame = residual_frame or self.task.residual.frame
         check_choice("gate_mode", gate_mode, GATE_MODES)
-        check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
-        check_choice("residual_frame", self.residual_frame, ("target", "world"))
+        check_choice("residual_frame", residual_frame, (None, "target", "world"))
+        super().__init__(task, render_mode)
+        self.residual_frame = residual_frame or self.task.residual.frame
         self.gate_mode = gate_mode
-        self.render_mode = render_mode
-        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
         self.executor = PhaseExecutor(
             self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
         )
@@ -70,13 +62,6 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, len(self._active))
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self._active),), np.float32)
-        self._renderer: Renderer | None = None
-        self._condition: Condition | None = None
-
-    @property
-    def condition_sampler(self) -> ConditionSpace:
-        """Draws conditions and says how to reset to them."""
-        return self.task.conditions
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -91,7 +76,7 @@ class ResidualEnv(gym.Env[Observation, Observation]):
             ValueError: An unknown option, or a condition that is not this task's.
         """
         super().reset(seed=seed)
-        self._condition = condition_from_options(self.task, options, self.np_random)
+        self._condition = self._chosen(options)
         state = self.world.reset(self._condition)
         self.observer.reset(state)
         self._last_action = np.zeros(len(self._active))
@@ -110,11 +95,7 @@ class ResidualEnv(gym.Env[Observation, Observation]):
             ValueError: Wrong shape, NaN or infinity.
             RuntimeError: Called before `reset`.
         """
-        if self._condition is None:
-            raise RuntimeError("step() before reset(): call env.reset() first.")
-        values = np.asarray(action, dtype=np.float64)
-        if values.shape != self.action_space.shape or not is_finite(values):
-            raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
+        values = self._checked(action)
         gated = self.executor.outcome is None and self.executor.action.gate
         if gated:
             self._last_action = np.clip(values, -1.0, 1.0)
@@ -123,18 +104,6 @@ class ResidualEnv(gym.Env[Observation, Observation]):
         if self.gate_mode == "skip":
             self._run_until_gate()
         return self._result(gated)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
-        if self.render_mode != "rgb_array":
-            return None
-        if self._renderer is None:
-            self._renderer = Renderer(self.world.scene, self.task.camera)
-        return self._renderer.image()
-
-    def close(self) -> None:
-        """Release physics; legal twice."""
-        self.world.close()
 
     # ---------------------------------------------------------------- inside an episode
 

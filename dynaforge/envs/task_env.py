@@ -8,13 +8,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.choices import check_choice, condition_from_options
-from dynaforge.envs.observation import is_finite
-from dynaforge.envs.rendering import Renderer
-from dynaforge.envs.world import LOWEST_EE, World
+from dynaforge.envs.base import WorldEnv, check_choice
+from dynaforge.envs.world import LOWEST_EE
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec
-from dynaforge.sim import Condition, SceneState
-from dynaforge.tasks import ConditionSpace, Task, get_task
+from dynaforge.sim import SceneState
+from dynaforge.tasks import Task
 from dynaforge.tasks.targets import DOWN_ALONG_X
 from dynaforge.tasks.view import PhaseView, heading_frames
 
@@ -25,7 +23,7 @@ WORKSPACE_LOW = (0.0, -0.8, LOWEST_EE)
 WORKSPACE_HIGH = (0.8, 0.8, 0.9)
 
 
-class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
+class TaskEnv(WorldEnv):
     """A task without its prior: for imitation policies, replay, and learning from scratch.
 
     One step is one control step. The reward is 1 when the task's success held long enough and 0 otherwise; an
@@ -41,15 +39,10 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         ValueError: Unknown task, action mode or render mode.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
-
     def __init__(self, task: str | Task = "can", *, action_mode: str = "ee", render_mode: str | None = None) -> None:
-        self.task = get_task(task) if isinstance(task, str) else task
         check_choice("action_mode", action_mode, ACTION_MODES)
-        check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        super().__init__(task, render_mode)
         self.action_mode = action_mode
-        self.render_mode = render_mode
-        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
         robot = self.world.scene.robot
         if action_mode == "ee":
             low, high = (*WORKSPACE_LOW, *[-np.pi] * 3, 0.0), (*WORKSPACE_HIGH, *[np.pi] * 3, robot.width_max)
@@ -73,20 +66,13 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         )  # fmt: skip
         size = sum(size for _, size in self.layout)
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
-        self._renderer: Renderer | None = None
-        self._condition: Condition | None = None
-
-    @property
-    def condition_sampler(self) -> ConditionSpace:
-        """Draws conditions and says how to reset to them."""
-        return self.task.conditions
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode; `options={"condition": ...}` fixes it."""
         super().reset(seed=seed)
-        self._condition = condition_from_options(self.task, options, self.np_random)
+        self._condition = self._chosen(options)
         self._start = self._state = self.world.reset(self._condition)
         self._frames = heading_frames(self._state, None)
         self._held = 0
@@ -99,11 +85,7 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
             ValueError: Wrong shape, NaN or infinity.
             RuntimeError: Called before `reset`.
         """
-        if self._condition is None:
-            raise RuntimeError("step() before reset(): call env.reset() first.")
-        values = np.asarray(action, dtype=np.float64)
-        if values.shape != self.action_space.shape or not is_finite(values):
-            raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
+        values = self._checked(action)
         values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
         if self.action_mode == "ee":
             rotation = matrix_from_rotvec(values[3:6]) @ DOWN_ALONG_X
@@ -114,21 +96,10 @@ class TaskEnv(gym.Env[Observation, NDArray[np.float32]]):
         success, failure = self._judge()
         info: dict[str, Any] = {}
         if success or failure:
+            assert self._condition is not None
             info = {"is_success": success, "failure": failure, "condition_id": self._condition.id}
             info["difficulty"] = self._condition.difficulty
         return self._observation(), float(success), bool(success or failure), False, info
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
-        if self.render_mode != "rgb_array":
-            return None
-        if self._renderer is None:
-            self._renderer = Renderer(self.world.scene, self.task.camera)
-        return self._renderer.image()
-
-    def close(self) -> None:
-        """Release physics; legal twice."""
-        self.world.close()
 
     def _judge(self) -> tuple[bool, str]:
         """Tell whether the task's success has held long enough, and the reason of a failure."""

@@ -1,0 +1,93 @@
+"""What the two envs of a task share: its world, its conditions, its picture, and checks of what callers pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.envs.observation import is_finite
+from dynaforge.envs.rendering import Renderer
+from dynaforge.envs.world import World
+from dynaforge.geometry import Array
+from dynaforge.sim import Condition
+from dynaforge.tasks import ConditionSpace, Task, get_task
+
+
+class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
+    """An env on a task's world; what an action means, and when an episode ends, is left to subclasses.
+
+    Args:
+        task: Task name or a Task.
+        render_mode: None, "rgb_array" or "human".
+
+    Raises:
+        ValueError: Unknown task or render mode.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+
+    def __init__(self, task: str | Task, render_mode: str | None) -> None:
+        self.task = get_task(task) if isinstance(task, str) else task
+        check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
+        self.render_mode = render_mode
+        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
+        self._renderer: Renderer | None = None
+        self._condition: Condition | None = None
+
+    @property
+    def condition_sampler(self) -> ConditionSpace:
+        """Draws conditions and says how to reset to them."""
+        return self.task.conditions
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
+        if self.render_mode != "rgb_array":
+            return None
+        if self._renderer is None:
+            self._renderer = Renderer(self.world.scene, self.task.camera)
+        return self._renderer.image()
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self.world.close()
+
+    def _chosen(self, options: dict[str, Any] | None) -> Condition:
+        """Read the condition from reset options, or draw one.
+
+        Raises:
+            ValueError: An unknown option, or a condition that is not this task's.
+        """
+        options = options or {}
+        if unknown := sorted(set(options) - {"condition"}):
+            raise ValueError(f"Unknown reset options {unknown}; the one known is 'condition'.")
+        condition = options.get("condition")
+        if condition is None:
+            return self.task.conditions.draw(self.np_random)
+        if isinstance(condition, dict):
+            condition = Condition.from_dict(condition)
+        if not isinstance(condition, Condition):
+            raise ValueError(f"options['condition'] must be a Condition or its dict, got {type(condition).__name__}.")
+        return self.task.conditions.validate(condition)
+
+    def _checked(self, action: Any) -> Array:
+        """Return an action as numbers.
+
+        Raises:
+            ValueError: Wrong shape, NaN or infinity.
+            RuntimeError: No episode was started.
+        """
+        if self._condition is None:
+            raise RuntimeError("step() before reset(): call env.reset() first.")
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self.action_space.shape or not is_finite(values):
+            raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
+        return values
+
+
+def check_choice(name: str, value: str | None, known: tuple[str | None, ...]) -> None:
+    """Raise ValueError unless `value` is one of `known`."""
+    if value not in known:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
