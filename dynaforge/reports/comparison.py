@@ -72,16 +72,16 @@ def _figures(comparison: Comparison, task: str, arms: list[str]) -> Iterator[Rep
             final={arm: mean(comparison.summary(task, arm).rates) for arm in arms},
         ),
     )
-    probes = {arm: comparison.probes(task, arm) for arm in arms}
-    yield ReportFigure(
-        "Success without exploration",
-        "One val condition of each of 16 strata at every measurement, mean over training seeds.",
-        probe_curve({arm: p[1] for arm, p in probes.items()}, {arm: p[0] for arm, p in probes.items()}),
-    )
-    for arm in arms:
+    for arm in reversed(arms):  # what the comparison is about comes last on the command line
         yield ReportFigure(
             f"Success by stratum, {arm}",
             "Outcomes of all training seeds pooled. Red: the competence frontier, the deepest rank up to which the "
             "Wilson lower bound of every stratum is at least one half.",
             stratum_heatmap(comparison.frontier(task, arm)),
         )
+    probes = {arm: comparison.probes(task, arm) for arm in arms}
+    yield ReportFigure(
+        "Success without exploration",
+        "One val condition of each of 16 strata at every measurement, mean over training seeds.",
+        probe_curve({arm: p[1] for arm, p in probes.items()}, {arm: p[0] for arm, p in probes.items()}),
+    )

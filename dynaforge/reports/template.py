@@ -26,6 +26,7 @@ pre { background:var(--card); border:1px solid var(--line); border-radius:8px; p
 th,td { text-align:right; padding:7px 10px; border-bottom:1px solid var(--line); white-space:nowrap; }
 th { font-weight:600; color:var(--soft); font-size:.85rem; } tr:last-child td { border-bottom:0; }
 th:first-child,td:first-child,td.text,th.text { text-align:left; } td.text { white-space:normal; }
+.figures { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,540px),1fr)); gap:0 16px; }
 figure { margin:0 0 16px; } figure img { display:block; width:100%; height:auto; background:#fff; border-radius:8px; }
 figcaption { margin-top:8px; color:var(--soft); font-size:.9rem; }
 .clips { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,320px),1fr)); gap:16px; }
@@ -50,6 +51,7 @@ HEAD = """<!doctype html>
 <main>
 """
 
+WIDE = '<main style="max-width:1280px">'
 FIGURE = """<figure class="card"><img src="{{ figure.image | image_url }}" alt="{{ figure.title }}">
 <figcaption><b>{{ figure.title }}.</b> {{ figure.caption }}</figcaption></figure>
 """
@@ -167,7 +169,7 @@ PAGE = (
 )
 
 COMPARISON = (
-    HEAD
+    HEAD.replace("<main>", WIDE)
     + """<header>
 <h1>{{ title }}</h1>
 <p class="soft">{{ date }}</p>
@@ -191,10 +193,12 @@ COMPARISON = (
 {% endfor %}
 </table></div>
 {% endif %}
+<div class="figures">
 {% for figure in section.figures %}
 """
     + FIGURE
     + """{% endfor %}
+</div>
 </section>
 {% endfor %}
 <section>

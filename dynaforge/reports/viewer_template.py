@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dynaforge.reports.template import HEAD
+from dynaforge.reports.template import HEAD, WIDE
 
 VIEWER = (
-    HEAD.replace("<main>", '<main style="max-width:1280px">')
+    HEAD.replace("<main>", WIDE)
     + """<style>
 .two { display:grid; grid-template-columns:minmax(260px,340px) 1fr; gap:16px; align-items:start; }
 @media (max-width:800px) { .two { grid-template-columns:1fr; } }
