@@ -1,11 +1,7 @@
-"""Lifecycle of FrontierGRPO: what any SB3 algorithm must do, and what whole-episode sampling adds."""
+"""FrontierGRPO learns: whole-episode sampling under matched conditions, and the update."""
 
 from __future__ import annotations
 
-import base64
-import json
-import os
-import zipfile
 from functools import partial
 from typing import ClassVar
 
@@ -13,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3.common.callbacks import BaseCallback, EvalCallback, StopTrainingOnMaxEpisodes
+from small_models import envs, equal, small, weights
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.logger import configure
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from toy_envs import EndlessEnv, MatchEnv, TargetSampler
@@ -23,40 +19,7 @@ from toy_envs import EndlessEnv, MatchEnv, TargetSampler
 from dynaforge.algos import FrontierGRPO
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 
-
-def envs(n: int, **kwargs) -> DummyVecEnv:
-    return DummyVecEnv([partial(MatchEnv, **kwargs)] * n)
-
-
-def small(env, policy: str = "MlpPolicy", **kwargs) -> FrontierGRPO:
-    options = {"n_groups": 4, "group_size": 4, "seed": 0, "device": "cpu", "policy_kwargs": {"net_arch": [16]}}
-    return FrontierGRPO(policy, env, **(options | kwargs))
-
-
-def weights(model) -> list[np.ndarray]:
-    return [p.detach().numpy().copy() for p in model.policy.parameters()]
-
-
-def equal(a, b) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-
-
-@pytest.fixture
-def logged(tmp_path):
-    """Return a function that gives a model a logger and hands back the values logged at the last dump."""
-
-    def attach(model) -> dict:
-        logger = configure(str(tmp_path), [])
-        values = {}
-        dump = logger.dump
-        logger.dump = lambda step=0: (values.update(logger.name_to_value), dump(step))
-        model.set_logger(logger)
-        return values
-
-    return attach
-
-
-# --- learning -------------------------------------------------------------------------------------------------------
+# --- learning --------------------------------------------------------------------------------------------------------
 
 
 def success_rate(model, n: int = 200) -> float:
@@ -99,7 +62,7 @@ def test_cartpole_improves_with_equal_seeds_as_conditions():
     assert evaluate_policy(model, Monitor(gym.make("CartPole-v1")), n_eval_episodes=10)[0] > 100.0
 
 
-# --- sampling -------------------------------------------------------------------------------------------------------
+# --- sampling --------------------------------------------------------------------------------------------------------
 
 
 def test_the_same_conditions_run_whatever_the_number_of_envs():
@@ -191,7 +154,7 @@ def test_gsde_rollouts_of_a_group_explore_differently():
     assert (np.ptp(first_actions, axis=1) > 1e-3).all()
 
 
-# --- update ---------------------------------------------------------------------------------------------------------
+# --- update ----------------------------------------------------------------------------------------------------------
 
 
 class AlwaysWins(MatchEnv):
@@ -329,291 +292,3 @@ def test_infinite_ratio_is_refused_before_the_optimizer_moves():
     with pytest.raises(FloatingPointError, match="ratio of 1 of"):
         model.learn(1, callback=Spoil())
     assert equal(before, weights(model))
-
-
-# --- options --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"group_size": 1}, "group_size is 1"),
-        ({"n_groups": 0}, "n_groups is 0"),
-        ({"group_filter": "mixed_sucess"}, "Did you mean 'mixed_success'"),
-        ({"scale_advantage": "std"}, "Unknown scale_advantage 'std'"),
-        ({"loss_agg": "steps"}, "Did you mean 'step'"),
-        ({"timesteps": "all"}, "'active', 'nominal'"),
-        ({"batch_size": 0}, "batch_size is 0"),
-        ({"n_epochs": 0}, "n_epochs is 0"),
-        ({"resample_max": -1}, "resample_max is -1"),
-        ({"clip_range": -0.1}, "clip_range is -0.1"),
-        ({"max_grad_norm": 0.0}, "max_grad_norm is 0.0"),
-        ({"max_episode_steps": 0}, "max_episode_steps is 0"),
-    ],
-)
-def test_wrong_options_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        small(envs(1), **options)
-
-
-def test_mixed_success_on_an_env_without_success_names_the_remedy():
-    with pytest.raises(ValueError, match="group_filter='mixed_return'"):
-        small(DummyVecEnv([lambda: gym.make("CartPole-v1")])).learn(1)
-
-
-def test_a_model_without_env_says_what_is_missing(tmp_path):
-    with pytest.raises(ValueError, match="needs an env"):
-        FrontierGRPO("MlpPolicy", None)
-    small(envs(1)).save(tmp_path / "m")
-    with pytest.raises(ValueError, match="set_env"):
-        FrontierGRPO.load(tmp_path / "m", device="cpu").learn(1)
-
-
-# --- callbacks ------------------------------------------------------------------------------------------------------
-
-
-class Watch(BaseCallback):
-    """Notes the order of calls, and checks what stock callbacks read."""
-
-    def __init__(self, stop_after: int = 10**9) -> None:
-        super().__init__()
-        self.calls, self.episodes, self._stop_after = [], 0, stop_after
-
-    def _on_rollout_start(self):
-        self.calls.append("start")
-
-    def _on_step(self):
-        n = self.training_env.num_envs
-        for name in ("infos", "dones", "rewards", "new_obs", "actions"):
-            assert len(self.locals[name]) == n
-        assert self.locals["env"] is self.training_env
-        assert self.locals["rollout_buffer"] is self.model.rollout_buffer
-        assert self.num_timesteps == self.model.num_timesteps > 0
-        self.episodes += int(np.sum(self.locals["dones"]))
-        self.calls.append("step")
-        return self.n_calls < self._stop_after
-
-    def _on_rollout_end(self):
-        self.calls.append("end")
-
-
-@pytest.mark.parametrize("n_envs", [1, 3])
-def test_callbacks_are_called_as_in_sb3(n_envs):
-    watch = Watch()
-    model = small(envs(n_envs)).learn(49, callback=watch)
-    assert watch.episodes == 32
-    assert watch.calls[0] == "start"
-    assert watch.calls[-1] == "end"
-    assert watch.calls.count("start") == watch.calls.count("end") == 2
-    assert model.num_timesteps == 96
-    if n_envs == 1:
-        assert watch.calls.count("step") == 96
-
-
-def test_a_callback_stops_training_at_once():
-    watch = Watch(stop_after=5)
-    model = small(envs(1))
-    before = weights(model)
-    model.learn(1000, callback=watch)
-    assert watch.calls == ["start"] + ["step"] * 5
-    assert model.num_timesteps == 5
-    assert equal(before, weights(model))
-    assert model.learn(48).num_timesteps == 48  # and it may be taken up again
-
-
-def test_stock_callbacks_work(tmp_path):
-    callbacks = [
-        EvalCallback(Monitor(MatchEnv()), eval_freq=20, n_eval_episodes=2, log_path=str(tmp_path), verbose=0),
-        StopTrainingOnMaxEpisodes(20, verbose=0),  # times n_envs
-    ]
-    model = small(envs(2)).learn(10_000, callback=callbacks)
-    assert 120 <= model.num_timesteps <= 123
-    assert (tmp_path / "evaluations.npz").is_file()
-
-
-def test_the_progress_bar_counts_what_the_algorithm_counts(capsys):
-    small(envs(5)).learn(48, progress_bar=True)
-    assert "48/48" in capsys.readouterr().err
-
-
-def test_the_env_is_usable_after_training():
-    env = envs(2)
-    model = small(env).learn(48)
-    assert evaluate_policy(model, env, n_eval_episodes=4, warn=False)[0] >= 0.0
-
-
-# --- save, load, resume ---------------------------------------------------------------------------------------------
-
-
-def test_saved_model_predicts_the_same(tmp_path):
-    model = small(envs(3)).learn(100)
-    model.save(tmp_path / "deep" / "model")
-    loaded = FrontierGRPO.load(tmp_path / "deep" / "model.zip", device="cpu")
-    obs = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
-    np.testing.assert_array_equal(model.predict(obs, deterministic=True)[0], loaded.predict(obs, deterministic=True)[0])
-    for name in ("n_groups", "group_size", "optimizer_steps", "transitions_used", "num_timesteps", "group_filter"):
-        assert getattr(model, name) == getattr(loaded, name)
-
-
-class SaveAt(BaseCallback):
-    def __init__(self, path, at: int) -> None:
-        super().__init__()
-        self.path, self.at = path, at
-
-    def _on_step(self):
-        if self.n_calls == self.at:
-            self.model.save(self.path)
-        return True
-
-
-@pytest.mark.parametrize("normalise", [False, True])
-def test_resuming_after_an_update_goes_on_bit_for_bit(tmp_path, normalise):
-    def env():
-        return VecNormalize(envs(3), norm_reward=False) if normalise else envs(3)
-
-    options = {"learning_rate": 1e-2, "batch_size": 8, "group_filter": "mixed_return"}
-    whole = small(env(), **options).learn(144)
-    whole.learn(144, reset_num_timesteps=False)
-
-    first = small(env(), **options).learn(144)
-    first.save(tmp_path / "m")
-    kept = first.env
-    th.manual_seed(1234)
-    resumed = FrontierGRPO.load(tmp_path / "m", env=kept, device="cpu")
-    resumed.learn(144, reset_num_timesteps=False)
-    assert equal(weights(whole), weights(resumed))
-    assert whole.num_timesteps == resumed.num_timesteps
-    assert whole.optimizer_steps == resumed.optimizer_steps > 0
-
-
-def test_a_checkpoint_from_inside_an_iteration_repeats_it_bit_for_bit(tmp_path):
-    options = {"learning_rate": 1e-2, "batch_size": 8, "group_filter": "mixed_return"}
-    whole = small(envs(3), **options).learn(288, callback=SaveAt(tmp_path / "m", at=40))
-    resumed = FrontierGRPO.load(tmp_path / "m", env=envs(3), device="cpu")
-    assert resumed.num_timesteps == 96  # steps of whole iterations only
-    resumed.learn(192, reset_num_timesteps=False)
-    assert equal(weights(whole), weights(resumed))
-
-
-def test_saving_does_not_disturb_training(tmp_path):
-    plain = small(envs(3)).learn(144)
-    saving = small(envs(3)).learn(144, callback=SaveAt(tmp_path / "m", at=10))
-    assert equal(weights(plain), weights(saving))
-    assert plain.num_timesteps == saving.num_timesteps
-
-
-def test_a_failed_save_leaves_the_old_checkpoint(tmp_path, monkeypatch):
-    path = tmp_path / "model.zip"
-    model = small(envs(1))
-    model.save(path)
-    old = path.read_bytes()
-
-    def fail(*args):
-        raise OSError("disk full")
-
-    monkeypatch.setattr(os, "replace", fail)
-    with pytest.raises(OSError, match="disk full"):
-        model.learn(48).save(path)
-    assert path.read_bytes() == old
-    assert [p.name for p in tmp_path.iterdir()] == ["model.zip"]
-
-
-def test_checkpoint_holds_no_env(tmp_path):
-    model = small(envs(2)).learn(48)
-    model.save(tmp_path / "m")
-    with zipfile.ZipFile(tmp_path / "m.zip") as archive:
-        values = json.loads(archive.read("data")).values()
-    pickles = [base64.b64decode(v[":serialized:"]) for v in values if isinstance(v, dict) and ":serialized:" in v]
-    assert any(b"CriticFreePolicy" in content for content in pickles)
-    assert not any(b"MatchEnv" in content for content in pickles)
-
-
-def test_equal_seeds_give_equal_models_and_others_do_not():
-    a, b, c = (small(envs(3), seed=seed, group_filter="none").learn(96) for seed in (3, 3, 4))
-    assert equal(weights(a), weights(b))
-    assert not equal(weights(a), weights(c))
-
-
-# --- spaces ---------------------------------------------------------------------------------------------------------
-
-
-def test_dict_observations():
-    model = small(envs(3, dict_obs=True), "MultiInputPolicy", group_filter="none").learn(48)
-    assert model.predict(MatchEnv(dict_obs=True).reset()[0])[0].shape == (1,)
-    with pytest.raises(ValueError, match="MultiInputPolicy"):
-        small(envs(1, dict_obs=True))
-
-
-class AnySpaces(gym.Env):
-    """Random observations of any space; reward says something about the action."""
-
-    def __init__(self, observations: gym.Space, actions: gym.Space) -> None:
-        self.observation_space, self.action_space = observations, actions
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.observation_space.seed(int(self.np_random.integers(2**31)))
-        self.t = 0
-        return self.observation_space.sample(), {}
-
-    def step(self, action):
-        assert self.action_space.contains(action)
-        self.t += 1
-        reward = float(np.sum(action))
-        return self.observation_space.sample(), reward, self.t == 4, False, {"is_success": reward > 0.3}
-
-
-BOX = gym.spaces.Box(-1.0, 1.0, (2,), np.float64)
-
-
-@pytest.mark.parametrize(
-    ("observations", "actions"),
-    [
-        (BOX, gym.spaces.Discrete(3)),
-        (BOX, gym.spaces.MultiDiscrete([2, 3])),
-        (BOX, gym.spaces.MultiBinary(3)),
-        (gym.spaces.Discrete(4), gym.spaces.Box(-2.0, 3.0, (2, 2), np.float32)),
-        (gym.spaces.MultiDiscrete([3, 2]), BOX),
-        (gym.spaces.MultiBinary(3), BOX),
-    ],
-)
-def test_spaces(observations, actions):
-    model = small(DummyVecEnv([partial(AnySpaces, observations, actions)] * 3), group_filter="none").learn(64)
-    assert model.optimizer_steps > 0
-
-
-def test_images():
-    images = gym.spaces.Box(0, 255, (36, 36, 3), np.uint8)
-    env = DummyVecEnv([partial(AnySpaces, images, gym.spaces.Discrete(2))] * 2)
-    model = small(env, "CnnPolicy", n_groups=1, group_size=2, group_filter="none", policy_kwargs={})
-    model.learn(8)
-    assert model.rollout_buffer.observations.dtype == np.uint8
-
-
-@pytest.mark.parametrize("options", [{}, {"sde_sample_freq": 2}])
-def test_gsde_learns_and_loads(tmp_path, options):
-    model = small(envs(3), use_sde=True, group_filter="none", **options).learn(96)
-    model.save(tmp_path / "m")
-    loaded = FrontierGRPO.load(tmp_path / "m", env=envs(1), device="cpu")
-    loaded.learn(48, reset_num_timesteps=False)
-    assert loaded.optimizer_steps > model.optimizer_steps
-
-
-def test_learned_sigma_changes_and_fixed_sigma_does_not():
-    learned = small(envs(4), group_filter="none", policy_kwargs={"net_arch": [8], "learn_std": True}).learn(48)
-    assert abs(learned.policy.log_std.item() - np.log(0.3)) > 1e-5
-    assert small(envs(4), group_filter="none").learn(48).policy.log_std.item() == pytest.approx(np.log(0.3))
-
-
-def test_an_env_id_is_enough():
-    model = small("CartPole-v1", n_groups=1, group_size=2, group_filter="mixed_return").learn(1)
-    assert model.num_timesteps > 2
-
-
-def test_schedules_are_followed(logged):
-    model = small(
-        envs(4), learning_rate=lambda left: 1e-2 * left, clip_range=lambda left: 0.2 * left, group_filter="none"
-    )
-    values = logged(model)
-    model.learn(4 * 48)
-    assert values["train/learning_rate"] == pytest.approx(1e-2 * 0.25)
