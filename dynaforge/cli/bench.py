@@ -11,8 +11,9 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ MEASUREMENTS: dict[str, Measurement] = {
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `bench`."""
-    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
+    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
     parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(MEASUREMENTS)}")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
     parser.add_argument(
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         ValueError: An unknown name, no rounds, an unknown task.
         OSError: `--out` cannot be written.
     """
-    task = get_task(options.task)
+    tasks = [get_task(name) for name in (TASK_NAMES if options.task == ["all"] else options.task)]
     chosen = _chosen(options.only)
     if options.rounds < 1:
         raise ValueError(f"--rounds is {options.rounds}; it must be at least 1.")
@@ -76,9 +77,11 @@ def run(options: argparse.Namespace) -> int:
     if machine["load"] > QUIET_LOAD:
         print(f"note: the load is {machine['load']:.1f}; figures of speed hold only where nothing else runs")
     start, figures = time.monotonic(), dict[str, list[Figure]]()
-    for number, name in enumerate(chosen, 1):
-        print(f"[{number}/{len(chosen)}] {name}", file=sys.stderr, flush=True)
-        figures[name] = MEASUREMENTS[name](task, options.rounds)
+    for number, (task, name) in enumerate(product(tasks, chosen), 1):
+        what = name if len(tasks) == 1 else f"{task.name}: {name}"
+        print(f"[{number}/{len(tasks) * len(chosen)}] {what}", file=sys.stderr, flush=True)
+        found = MEASUREMENTS[name](task, options.rounds)
+        figures[what] = found if len(tasks) == 1 else [replace(f, title=f"{task.name}: {f.title}") for f in found]
     print(table([figure for found in figures.values() for figure in found]))
     if options.out is not None:
         atomic_write(options.out, json.dumps(_record(figures, options, machine), indent=1).encode())
