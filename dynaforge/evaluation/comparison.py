@@ -92,8 +92,8 @@ class ArmSummary:
         collect_cpu, optimize_cpu: Seconds of a run.
         wall: Seconds of a run, on the one core it has.
         groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
-        steps_to_vanilla: Environment steps until the trailing success in training first was what vanilla GRPO's is at
-            its end; infinite where it never was.
+        steps_to_vanilla: Environment steps until the trailing success in training, mean over seeds, first was what
+            vanilla GRPO's is at its end; infinite where it never was.
         lost_again: Share of strata won without exploration in two probes running and lost in the last two.
     """
 
@@ -199,7 +199,6 @@ class Comparison:
     def summary(self, task: str, arm: str) -> ArmSummary:
         """Put an arm's runs on a task in figures."""
         histories = self._histories(task, arm)
-        level = [history.frontier().overall_trailing[-1] for history in self._histories(task, self.reference)]
         groups = np.array([np.sum(history.groups, axis=0) for history in histories if history.groups])
         probes = [_probes(history) for history in histories]
         return ArmSummary(
@@ -210,9 +209,16 @@ class Comparison:
             optimize_cpu=mean(sum(h.optimize_cpu) for h in histories),
             wall=mean(h.wall_seconds for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
-            steps_to_vanilla=mean(_steps_to(h, mean(level)) for h in histories) if level else math.nan,
+            steps_to_vanilla=self._steps_to_vanilla(task, arm),
             lost_again=mean(_lost_again(p) for p in probes),
         )
+
+    def _steps_to_vanilla(self, task: str, arm: str) -> float:
+        if not self.of(task, self.reference):
+            return math.nan
+        level = self.frontier(task, self.reference).overall_trailing[-1]
+        reached = np.flatnonzero(self.frontier(task, arm).overall_trailing >= level)
+        return float(self.steps(task, arm)[reached[0]]) if len(reached) else math.inf
 
     def table(self) -> str:
         """Return all of it as plain text: a row an arm and task, then the means over the tasks."""
@@ -243,7 +249,7 @@ class Comparison:
             f"DGR of the final policy without exploration on {exam['blocks']} x {exam['attempts']} conditions of "
             f"{exam['stream']}, mean and std over training seeds;\nagainst {self.reference} in points, 95 % bootstrap "
             f"over training seeds and conditions; optimizer steps and environment steps to {self.reference}'s\nfinal "
-            "success in training, both as a ratio to it ('-': not reached by every seed); of a run: thousands of "
+            "success in training, both as a ratio to it ('-': not reached); of a run: thousands of "
             "transitions\nthat entered losses, CPU minutes of simulation and of optimisation, wall minutes on one core."
         )
 
@@ -274,12 +280,6 @@ class Comparison:
 
     def _histories(self, task: str, arm: str) -> list[TrainingHistory]:
         return [run.history for run in self.of(task, arm) if run.history is not None]
-
-
-def _steps_to(history: TrainingHistory, level: float) -> float:
-    """Return the environment steps at which the trailing success in training first reached a level."""
-    reached = np.flatnonzero(history.frontier().overall_trailing >= level)
-    return float(history.timesteps[reached[0]]) if len(reached) else math.inf
 
 
 def _probes(history: TrainingHistory) -> NDArray[np.bool_]:

@@ -77,6 +77,21 @@ def test_the_table_holds_every_arm_and_the_ratios() -> None:
     assert "planner only" in table
 
 
+def test_seeds_that_end_apart_are_compared_by_their_mean_curve() -> None:
+    slower = history([0.0, 0.0, 0.0, 0.0], optimizer_steps=40)
+    comparison = Comparison(
+        (
+            run("can", "grpo", 0, 4, SLOW),
+            run("can", "grpo", 1, 0, slower),
+            run("can", "frontier_grpo", 0, 9, FAST),
+            run("can", "frontier_grpo", 1, 0, slower),
+        )
+    )
+    # Vanilla's seeds end at trailing means of .25 and 0, .125 together, where the other arm's are after one update.
+    assert comparison.summary("can", "grpo").steps_to_vanilla == 400.0
+    assert comparison.summary("can", "frontier_grpo").steps_to_vanilla == 100.0
+
+
 def test_what_is_not_reached_is_a_dash() -> None:
     never = history([0.0, 0.0, 0.1, 0.1], optimizer_steps=10)
     comparison = Comparison((run("can", "grpo", 0, 5, SLOW), run("can", "ppo", 0, 1, never)))
