@@ -40,10 +40,10 @@ clean: ## Remove the virtual environment, builds and caches; results, runs, logs
 	find dynaforge assets zoo_configs tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # An existing environment is kept if its pip works; an interrupted install leaves no stamp and is taken up again.
-$(STAMP): setup.cfg pyproject.toml constraints.txt
+$(STAMP): setup.cfg pyproject.toml constraints.txt Makefile
 	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,viser,dev]"
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic  # its reader, not its vision models
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic termcolor  # its reader, not its vision models
 	@touch $(STAMP)

@@ -37,7 +37,8 @@ def test_quaternions_do_not_jump() -> None:
 
 
 def test_robomimic(episodes: list[Frames], tmp_path: Path) -> None:
-    dataset = pytest.importorskip("robomimic.utils.dataset")
+    from robomimic.utils import dataset  # `make` installs it; without it this fails rather than goes unseen
+
     assert exporter("robomimic")(tmp_path, CAN, episodes) == 3
     keys = ("ee_position", "can_position", "front_image")
     reader = dataset.SequenceDataset(
