@@ -91,7 +91,7 @@ class RunSpec:
         """Return the hyperparameters: those of zoo_configs and the changes."""
         from dynaforge.cli.training import hyperparameters
 
-        settings = hyperparameters(self.algo, self.task) | dict(self.changes)
+        settings = hyperparameters(self.algo, self.task, self.changes)
         return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` says it
 
     @property
@@ -111,7 +111,7 @@ class RunSpec:
         about = json.loads(stored.read_text())
         held = about["run"] | {"settings": about["settings"]}
         mine = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
-        differ = [name for name in mine if mine[name] != held.get(name)]
+        differ = [name for name in mine if name != "changes" and mine[name] != held.get(name)]  # settings hold them
         if differ:
             was, now = ({name: side.get(name) for name in differ} for side in (held, mine))
             raise ValueError(

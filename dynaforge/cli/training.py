@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -36,8 +36,13 @@ NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 
 
-def hyperparameters(algo: str, task: str) -> dict[str, Any]:
+def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Read an entry of zoo_configs, the same that `dynaforge train` reads.
+
+    Args:
+        algo: Which file.
+        task: Task name or file.
+        changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
 
     Raises:
         ValueError: No file for the algorithm, or no entry for the task.
@@ -49,7 +54,9 @@ def hyperparameters(algo: str, task: str) -> dict[str, Any]:
     entry = listed.get(env_id(task), listed.get(LIKE))
     if entry is None:
         raise ValueError(f"{path} lists neither {env_id(task)!r} nor {LIKE!r}, which stands in for tasks of your own.")
-    return dict(entry)
+    changes = changes or {}
+    left_out = {name for name, value in changes.items() if value is None}
+    return {name: value for name, value in (entry | dict(changes)).items() if name not in left_out}
 
 
 def training_env(task: Task, n_envs: int, *, cores: int = 2) -> VecEnv:
@@ -75,7 +82,7 @@ def build_model(
         seed: Training seed.
         changes: Hyperparameters to override.
     """
-    options = hyperparameters(algo, task) | changes
+    options = hyperparameters(algo, task, changes)
     policy = options["policy"]
     kept = {name: _scheduled(value) for name, value in options.items() if name not in NOT_THE_MODEL}
     return ALGORITHMS[algo](policy, env, seed=seed, device="cpu", **kept)

@@ -107,6 +107,10 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     spec.check()
     with pytest.raises(ValueError, match=r"holds a run with \{'steps': 300\}, now \{'steps': 400\} is asked for"):
         replace(spec, steps=400).check()
+    default = replace(spec, changes={**TINY, "learning_rate": None})  # FrontierGRPO's own, whatever zoo_configs says
+    assert "learning_rate" not in default.settings()
+    (tmp_path / "run.json").write_text(json.dumps(about | {"settings": default.settings()}))
+    default.check()
     about["settings"]["learning_rate"] = 7.0  # zoo_configs was changed since
     (tmp_path / "run.json").write_text(json.dumps(about))
     with pytest.raises(ValueError, match=r"'learning_rate': 7\.0"):
