@@ -1,6 +1,6 @@
 """Reports: figures, films, and one HTML page that holds them. Needs the `[report]` extra when used."""
 
-from dynaforge.reports.comparison import write_comparison
+from dynaforge.reports.comparison import task_figures, write_comparison
 from dynaforge.reports.html import Clip, ReportData, ReportFigure, render_report, write_report
 from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.video import contact_sheet, encode_gif, encode_mp4, encode_png
@@ -19,6 +19,7 @@ __all__ = [
     "probe_curve",
     "render_report",
     "stratum_heatmap",
+    "task_figures",
     "write_comparison",
     "write_report",
 ]

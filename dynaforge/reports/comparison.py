@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import mean
 
 from dynaforge.demos import atomic_write
 from dynaforge.evaluation import COLUMNS, Comparison
 from dynaforge.reports.html import ReportFigure, render
-from dynaforge.reports.plots import learning_curve, probe_curve, stratum_heatmap
+from dynaforge.reports.plots import Format, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.template import COMPARISON
 
 
@@ -54,10 +54,13 @@ def _sections(comparison: Comparison) -> Iterator[dict[str, object]]:
             for arm, s in summaries.items()
             if s.groups
         ]
-        yield {"title": task, "rows": rows, "groups": groups, "figures": list(_figures(comparison, task, arms))}
+        yield {"title": task, "rows": rows, "groups": groups, "figures": list(task_figures(comparison, task, arms))}
 
 
-def _figures(comparison: Comparison, task: str, arms: list[str]) -> Iterator[ReportFigure]:
+def task_figures(
+    comparison: Comparison, task: str, arms: Sequence[str], *, fmt: Format = "svg"
+) -> Iterator[ReportFigure]:
+    """Draw what a comparison says about a task: learning curves, the frontier of each arm, success unexplored."""
     planner = comparison.planner(task)
     if not arms:
         return
@@ -70,6 +73,7 @@ def _figures(comparison: Comparison, task: str, arms: list[str]) -> Iterator[Rep
             steps={arm: comparison.steps(task, arm) for arm in arms},
             planner_only=None if math.isnan(planner) else planner,
             final={arm: mean(comparison.summary(task, arm).rates) for arm in arms},
+            fmt=fmt,
         ),
     )
     for arm in reversed(arms):  # what the comparison is about comes last on the command line
@@ -77,11 +81,11 @@ def _figures(comparison: Comparison, task: str, arms: list[str]) -> Iterator[Rep
             f"Success by stratum, {arm}",
             "Outcomes of all training seeds pooled. Red: the competence frontier, the deepest rank up to which the "
             "Wilson lower bound of every stratum is at least one half.",
-            stratum_heatmap(comparison.frontier(task, arm)),
+            stratum_heatmap(comparison.frontier(task, arm), fmt=fmt),
         )
     probes = {arm: comparison.probes(task, arm) for arm in arms}
     yield ReportFigure(
         "Success without exploration",
         "One val condition of each of 16 strata at every measurement, mean over training seeds.",
-        probe_curve({arm: p[1] for arm, p in probes.items()}, {arm: p[0] for arm, p in probes.items()}),
+        probe_curve({arm: p[1] for arm, p in probes.items()}, {arm: p[0] for arm, p in probes.items()}, fmt=fmt),
     )
