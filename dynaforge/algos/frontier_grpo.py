@@ -82,7 +82,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
 
     Attributes:
         optimizer_steps: Steps of the optimizer so far; SB3's `_n_updates` counts epochs.
-        transitions_used: Transitions that entered losses so far, each counted once an update.
+        transitions_used: Gated transitions of kept groups so far, each counted once an update.
         skipped_updates: Iterations in which no group was kept.
         last_group_success: Success of the last iteration, shape (N, K); None when the env does not tell.
         last_group_returns: Its returns, shape (N, K).

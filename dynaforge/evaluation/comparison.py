@@ -88,7 +88,7 @@ class ArmSummary:
     Attributes:
         rates: DGR of each training seed.
         optimizer_steps: Made in a run.
-        transitions_used: Transitions of a run that entered losses.
+        transitions_used: Gated transitions of the kept groups of a run.
         collect_cpu, optimize_cpu: Seconds of a run.
         wall: Seconds of a run, on the one core it has.
         groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
@@ -250,7 +250,7 @@ class Comparison:
             f"{exam['stream']}, mean and std over training seeds;\nagainst {self.reference} in points, 95 % bootstrap "
             f"over training seeds and conditions; optimizer steps and environment steps to {self.reference}'s\nfinal "
             "success in training, both as a ratio to it ('-': not reached); of a run: thousands of "
-            "transitions\nthat entered losses, CPU minutes of simulation and of optimisation, wall minutes on one core."
+            "transitions\nin kept groups, CPU minutes of simulation and of optimisation, wall minutes on one core."
         )
 
     def cells(self, arm: str, tasks: Sequence[str]) -> list[str]:

@@ -40,7 +40,7 @@ class TrainingHistory:
         groups: Groups that failed throughout, were mixed, succeeded throughout, shape (U, 3); empty without groups.
         timesteps: Environment steps since the start, shape (U,), as are the following.
         optimizer_steps: Steps of the optimizer since the start.
-        transitions_used: Transitions that entered losses since the start, each counted once an update.
+        transitions_used: Gated transitions of kept groups since the start, each counted once an update.
         collect_wall, collect_cpu: Seconds that the update's episodes took; CPU of this process.
         optimize_wall, optimize_cpu: Seconds that its optimisation took.
         probes: Measurements without exploration.
