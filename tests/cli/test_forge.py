@@ -24,7 +24,7 @@ def test_forge_ends_with_demonstrations_policy_and_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = hyperparameters("frontier_grpo", "can") | {"n_groups": 4, "group_size": 2, "n_envs": 4}
-    monkeypatch.setattr(training, "hyperparameters", lambda algo, task: small)
+    monkeypatch.setattr(training, "hyperparameters", lambda algo, task, changes=None: small)
     out = tmp_path / "run"
     options = ["--updates", "1", "--demos", "2", "--attempts", "4", "--budget", "5m", "--out", str(out)]
     assert main(["forge", "--task", "can", *options]) == 0
