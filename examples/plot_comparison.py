@@ -26,6 +26,8 @@ def main() -> None:
         *(e for arm in options.arms for e in sorted(place.glob(f"{arm}/*/exam.json"))),
     ]
     comparison = Comparison.load(options.folder, [exam.parent for exam in exams if exam.is_file()])
+    if not comparison.arms:
+        parser.error(f"{place} holds no finished run of {', '.join(options.arms)}.")
     options.out.mkdir(parents=True, exist_ok=True)
     for figure in task_figures(comparison, options.task, comparison.arms, fmt="png"):
         name = figure.title.lower().replace(",", "").replace(" ", "-")

@@ -110,10 +110,10 @@ def test_the_peak_speed_is_the_difficulty(kind: Insertion) -> None:
         if condition.values.get("motion", 1.0) < 0.0:
             assert set(into.drives) == {"slide"}
             peak = max(abs(into.drives["slide"].speed(t)) for t in times)
+            assert peak == pytest.approx(condition.difficulty, rel=1e-3)  # between two sampled times it may be higher
         else:
             assert set(into.drives) == {"turn"}
-            peak = kind.module.ARM * abs(into.drives["turn"].rate)
-        assert peak == pytest.approx(condition.difficulty, rel=1e-3)
+            assert kind.module.ARM * abs(into.drives["turn"].rate) == pytest.approx(condition.difficulty)
 
 
 def test_the_hole_turns_either_way() -> None:
