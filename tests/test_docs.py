@@ -19,11 +19,10 @@ from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import TASK_NAMES, get_task
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE = (DOCS / "add_a_task.md").read_text()
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+def blocks(language: str, page: str = "add_a_task.md") -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
 
 
 @pytest.fixture
@@ -92,6 +91,26 @@ def test_the_page_of_a_task_is_what_its_data_says(name: str) -> None:
     page = (DOCS / "tasks" / f"{name}.md").read_text()
     assert page == page_with_picture(get_task(name))
     assert (DOCS / "tasks" / f"{name}.png").is_file()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_page_on_datasets_reads_what_its_commands_make(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every block but the one for LeRobot, which has a test of its own, in the order of the page."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["collect", "--task", "can", "--attempts", "3", "--out", "data/can", "--workers", "1"]) == 0
+    small = ["--cameras", "front", "--size", "32", "24", "--points", "64", "--workers", "1"]
+    assert main(["render", "data/can", *small]) == 0
+    assert main(["export", "data/can", "--format", "robomimic"]) == 0
+    capsys.readouterr()
+    names: dict[str, object] = {}
+    shown = [block for block in blocks("python", "datasets.md") if "lerobot" not in block]
+    assert len(shown) == 4
+    for block in shown:
+        exec(block, names)
+    printed = capsys.readouterr().out
+    assert "(2, 64, 3) (16, 8)" in printed, "the pack's windows"
 
 
 def test_the_page_on_datasets_holds_the_schema() -> None:

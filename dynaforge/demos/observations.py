@@ -215,16 +215,16 @@ class ObservationFolder:
         ValueError: The folder holds observations with other settings.
     """
 
-    def __init__(self, path: Path, settings: ObservationSettings | None = None) -> None:
-        self.path = path
-        marker = path / SETTINGS
+    def __init__(self, path: str | Path, settings: ObservationSettings | None = None) -> None:
+        self.path = Path(path)
+        marker = self.path / SETTINGS
         held = ObservationSettings.from_dict(json.loads(marker.read_text())) if marker.is_file() else None
         if settings is None and held is None:
             raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
         if settings is not None and held is not None and settings != held:
             raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
         if settings is not None and held is None:
-            path.mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(parents=True, exist_ok=True)
             atomic_write(marker, json.dumps(settings.to_dict(), indent=1).encode() + b"\n")
         self.settings = settings or held
 

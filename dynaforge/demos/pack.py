@@ -36,7 +36,8 @@ class Pack:
         FileNotFoundError: It holds no pack.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: str | Path) -> None:
+        folder = Path(folder)
         about = folder / ABOUT
         if not about.is_file():
             raise FileNotFoundError(f"{folder} holds no pack.")
@@ -67,12 +68,13 @@ class Pack:
         return np.asarray(self.arrays[name][rows])
 
     @staticmethod
-    def write(folder: Path, episodes: Iterable[Frames]) -> Pack:
+    def write(folder: str | Path, episodes: Iterable[Frames]) -> Pack:
         """Write a pack; one already there is replaced once the new one is whole.
 
         Raises:
             ValueError: There is no episode, or some have points and some have none.
         """
+        folder = Path(folder)
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
