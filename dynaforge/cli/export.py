@@ -13,7 +13,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
-from dynaforge.demos import Episode
+from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
 from dynaforge.demos.exporters.frames import ACTIONS
 from dynaforge.demos.observations import FOLDER, ObservationFolder
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     out = options.out or source.with_name(f"{source.name}-{options.format}")
     if out.exists():
         raise FileExistsError(f"{out} exists already. Choose another --out, or remove it.")
-    observations = _observations(options)
+    observations = _observations(options, dataset)
     kept: list[Episode] = []
     names: tuple[str, ...] = ()
 
@@ -79,8 +79,13 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _observations(options: argparse.Namespace) -> ObservationFolder | None:
+def _observations(options: argparse.Namespace, dataset: DemonstrationDataset) -> ObservationFolder | None:
     path = options.observations or options.folder / FOLDER
     if options.observations is None and not path.is_dir():
         return None
-    return ObservationFolder(path)
+    folder = ObservationFolder(path)
+    if missing := folder.missing(dataset.ids()):
+        raise FileNotFoundError(
+            f"{path} lacks {len(missing)} of {len(dataset.ids())} episodes. `dynaforge render` as before adds them."
+        )
+    return folder

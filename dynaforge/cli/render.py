@@ -119,7 +119,8 @@ def _render_one(name: str) -> str:
     assert _folder is not None
     try:
         episode = _dataset[name]
-        write_observations(_folder.file_of(name), episode, _renderer.render(episode), _renderer.things())
+        arrays = _renderer.render(episode)
     except (ValueError, OSError) as error:
         return str(error)
+    write_observations(_folder.file_of(name), episode, arrays, _renderer.things())  # a full disk ends it all
     return ""

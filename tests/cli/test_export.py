@@ -7,6 +7,7 @@ import pytest
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import FORMATS
+from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
 from dynaforge.generators import Goal, PlannerOnly, collect
 from dynaforge.tasks import get_task
 
@@ -32,6 +33,16 @@ def test_a_folder_and_its_card(data: Path, name: str, capsys: pytest.CaptureFixt
     assert (out / "contact.png").read_bytes().startswith(b"\x89PNG")
     assert main(["export", str(data), "--format", name]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_half_rendered_data_is_named_before_the_work(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As an interrupted `dynaforge render` leaves it."""
+    seen = data.with_name("seen")
+    ObservationFolder(seen, ObservationSettings((standard_cameras(get_task("peach"))["front"],)))
+    command = ["export", str(data), "--format", "robomimic", "--failures", "--out", str(data.with_name("half"))]
+    assert main([*command, "--observations", str(seen)]) == 2
+    assert "lacks 2 of 2 episodes" in capsys.readouterr().err
+    assert not data.with_name("half").exists()
 
 
 def test_what_cannot_be_exported_leaves_nothing(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -53,6 +54,18 @@ def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureF
     stored = json.loads((tmp_path / "seen" / "settings.json").read_text())["cameras"][0]
     assert stored["name"] == "top"
     assert stored["intrinsics"][2] == [0.0, 0.0, 1.0]
+
+
+def test_what_cannot_be_written_ends_it_at_once(data: Path, tmp_path: Path) -> None:
+    """Stands for a full disk: no file may be longer than 40 kB."""
+    command = ["render", str(data), "--out", str(tmp_path / "seen"), "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "dynaforge", *command], capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000)),
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert f"File too large: '{tmp_path / 'seen'}" in done.stderr
+    assert [path.name for path in (tmp_path / "seen").iterdir()] == ["settings.json"]
 
 
 @pytest.mark.slow
