@@ -17,7 +17,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.bench_data import replay, window, writing
+from dynaforge.cli.bench_data import demonstrations, replay, window, writing
 from dynaforge.cli.bench_determinism import one_trajectory, zero_residual
 from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.bench_limits import finger_speed, global_planner
@@ -46,14 +46,19 @@ MEASUREMENTS: dict[str, Measurement] = {
     "replay": lambda task, rounds: replay(task),
     "worker-killed": lambda task, rounds: worker_killed(task, rounds=min(rounds, 3)),
     "global-planner": lambda task, rounds: global_planner(task),
+    "demonstrations": lambda task, rounds: demonstrations(task),
 }
 """What can be measured, by its name for `--only`, in the order of the table."""
+
+LONG = frozenset({"demonstrations"})
+"""What takes more than five minutes and is measured only when named."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `bench`."""
     parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(MEASUREMENTS)}")
+    listed = ", ".join(f"{name} (if named, minutes)" if name in LONG else name for name in MEASUREMENTS)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {listed}")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
     parser.add_argument(
         "--out", type=Path, help="write the figures and the rounds behind them here, e.g. results/bench.json"
@@ -104,7 +109,7 @@ def _chosen(only: Sequence[str] | None) -> list[str]:
             close = difflib.get_close_matches(name, MEASUREMENTS, n=1)
             hint = f" Did you mean {close[0]!r}?" if close else ""
             raise ValueError(f"No figure {name!r}.{hint} Known are {', '.join(MEASUREMENTS)}.")
-    return [name for name in MEASUREMENTS if only is None or name in only]
+    return [name for name in MEASUREMENTS if (name not in LONG if only is None else name in only)]
 
 
 def _check_out(out: Path) -> None:

@@ -25,6 +25,7 @@ EPISODES = 40  # a round of writing
 PACKED, LENGTH, POINTS = 200, 60, 1024  # episodes, frames each, points each
 WINDOWS = 2000
 REPLAYED = 100
+DEMONSTRATIONS, MOST_COLLECTING, MOST_RENDERING = 800, 4.0, 15.0  # minutes, the second with the first
 
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:
@@ -100,3 +101,32 @@ def replay(task: Task) -> list[Figure]:
     exact = done.returncode == 0
     said = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else done.stderr.strip()[-200:]
     return [Figure(f"replay of {n} episodes in a fresh process", "all bits agree", said, exact, {"said": said})]
+
+
+def demonstrations(task: Task) -> list[Figure]:
+    """Collect successes with the shipped policy on all cores, then render point clouds: minutes of each command."""
+    with tempfile.TemporaryDirectory() as parent:
+        folder = f"{parent}/data"
+        start = time.perf_counter()
+        _dynaforge("collect", "--task", task.name, "--demos", str(DEMONSTRATIONS), "--out", folder)
+        collecting = (time.perf_counter() - start) / 60
+        _dynaforge("render", folder, "--cameras", "front", "--points", str(POINTS), "--no-images")
+        both = (time.perf_counter() - start) / 60
+        attempts = list(DemonstrationDataset(folder).attempts())
+    n = sum(attempt.success for attempt in attempts)
+    data = {"successes": n, "attempts": len(attempts), "collecting": collecting, "both": both}
+    return [
+        Figure(
+            f"{DEMONSTRATIONS} demonstrations, all cores", f"<= {MOST_COLLECTING:g} minutes",
+            f"{collecting:.1f} minutes, {n} successes in {len(attempts)} attempts",
+            collecting <= MOST_COLLECTING and n >= DEMONSTRATIONS, data,
+        ),
+        Figure(
+            f"with {POINTS}-point clouds of one camera", f"<= {MOST_RENDERING:g} minutes", f"{both:.1f} minutes",
+            both <= MOST_RENDERING, data,
+        ),
+    ]  # fmt: skip
+
+
+def _dynaforge(*arguments: str) -> None:
+    subprocess.run([sys.executable, "-m", "dynaforge", *arguments], check=True)

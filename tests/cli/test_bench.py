@@ -50,6 +50,14 @@ def test_bench_ends_with_0_when_every_figure_is_met_and_with_1_when_one_is_misse
     assert main(["bench", "--only", "light"]) == 0
 
 
+def test_what_takes_long_is_measured_only_when_named(found, monkeypatch, capsys):
+    monkeypatch.setattr(bench, "LONG", {"tall"})
+    assert main(["bench"]) == 0
+    assert "height" not in capsys.readouterr().out
+    assert main(["bench", "--only", "tall"]) == 0
+    assert "height" in capsys.readouterr().out
+
+
 def test_the_record_holds_command_machine_versions_and_rounds(found, tmp_path):
     out = tmp_path / "new" / "bench.json"
     assert main(["bench", "--rounds", "3", "--out", str(out)]) == 0
