@@ -15,7 +15,8 @@ from dynaforge.cli.main import main
 from dynaforge.tasks import TASK_NAMES
 
 
-def sample(task: str, out: Path, demos: int) -> None:
+def sample(task: str, out: Path, demos: int) -> list[str]:
+    """Make the dataset of a task; return the steps that reported a problem."""
     folder = out / task
     steps = (
         ["collect", "--task", task, "--demos", str(demos), "--out", str(folder)],
@@ -24,12 +25,14 @@ def sample(task: str, out: Path, demos: int) -> None:
         ["export", str(folder), "--format", "lerobot"],
         ["view", str(folder), "--limit", "8"],
     )
+    problems = []
     for step in steps:
         if step[0] == "export" and (out / f"{task}-lerobot").exists():
             continue
-        print(f"\n$ dynaforge {' '.join(step)}")
+        print(f"\n$ dynaforge {' '.join(step)}", flush=True)
         if main(step):
-            print(f"{task}: `dynaforge {step[0]}` reported a problem")
+            problems.append(f"{task}: `dynaforge {step[0]}` reported a problem")
+    return problems
 
 
 if __name__ == "__main__":
@@ -38,6 +41,6 @@ if __name__ == "__main__":
     parser.add_argument("--demos", type=int, default=20, help="successes of each task")
     parser.add_argument("--task", nargs="+", default=list(TASK_NAMES), choices=TASK_NAMES)
     options = parser.parse_args()
-    for name in options.task:
-        sample(name, options.out, options.demos)
-    sys.exit(0)
+    found = [problem for name in options.task for problem in sample(name, options.out, options.demos)]
+    print("\n" + ("\n".join(found) or f"{len(options.task)} datasets in {options.out}, no problems"))
+    sys.exit(1 if found else 0)
