@@ -69,7 +69,7 @@ def run_jobs(
         mask = np.array([infos[row].get("residual_mask", 1.0) > 0.0 for row in rows])
         rollout_buffer.add(take_rows(obs, rows), actions[rows], log_probs.cpu().numpy()[rows], mask, tick.jobs[rows])
         for episode in tick.finished:
-            require_success(episode, model.group_filter)
+            require_success(episode, model)
             episodes[episode.job.index] = episode
         model._last_obs, model._last_episode_starts = new_obs, dones
     return True
@@ -83,14 +83,20 @@ def env_actions(actions: NDArray[Any], policy: ActorCriticPolicy) -> NDArray[Any
     return policy.unscale_action(actions) if policy.squash_output else np.clip(actions, space.low, space.high)
 
 
-def require_success(episode: FinishedEpisode, group_filter: str) -> None:
-    """Refuse to filter on success when an episode does not tell whether it succeeded.
+def require_success(episode: FinishedEpisode, model: FrontierGRPO) -> None:
+    """Refuse options that read success when an episode does not tell whether it succeeded.
 
     Raises:
         ValueError: Says so, with the remedy.
     """
-    if episode.success is None and group_filter == "mixed_success":
-        raise ValueError(
-            "group_filter='mixed_success' reads info['is_success'] at the end of an episode, and this env does not "
-            "give it. Report it there, or use group_filter='mixed_return' or 'none'."
-        )
+    if episode.success is not None:
+        return
+    for option, reading, remedy in (
+        ("group_filter", "mixed_success", "'mixed_return' or 'none'"),
+        ("scale_learning_rate", "failures", "'none'"),
+    ):
+        if getattr(model, option) == reading:
+            raise ValueError(
+                f"{option}={reading!r} reads info['is_success'] at the end of an episode, and this env does not give "
+                f"it. Report it there, or use {option}={remedy}."
+            )

@@ -16,7 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
-from stable_baselines3.common.utils import FloatSchedule
+from stable_baselines3.common.utils import FloatSchedule, update_learning_rate
 from stable_baselines3.common.vec_env import VecEnv
 
 from dynaforge.algos.advantages import group_advantages
@@ -61,6 +61,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
         stratified: One condition from each of N strata; False draws all from the whole range.
         condition_sampler: Source of conditions. Default: the env's own `condition_sampler`, else reset seeds.
         scale_advantage: Divide by the deviation of the "group", of the "batch", or "none".
+        scale_learning_rate: "failures" multiplies the rate by the share of the iteration's rollouts that failed, so
+            that a policy which mostly wins moves little; needs info["is_success"]. Not in the paper: "none".
         loss_agg: Mean over transitions ("step") or over episodes ("episode").
         kl_coef: Weight of KL(old || new), old being the policy at the update's start.
         anchor_coef: Weight of KL(old || new) on groups that succeeded throughout. The filter drops them, so that
@@ -117,6 +119,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
         stratified: bool = True,
         condition_sampler: ConditionSampler | None = None,
         scale_advantage: str = "group",
+        scale_learning_rate: str = "none",
         loss_agg: str = "step",
         kl_coef: float = 0.0,
         anchor_coef: float = 0.0,
@@ -161,7 +164,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
         self.n_epochs, self.batch_size = n_epochs, batch_size
         self.clip_range, self.clip_range_high = clip_range, clip_range_high
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
-        self.scale_advantage, self.loss_agg = scale_advantage, loss_agg
+        self.scale_advantage, self.scale_learning_rate, self.loss_agg = scale_advantage, scale_learning_rate, loss_agg
         self.kl_coef, self.anchor_coef, self.target_kl = kl_coef, anchor_coef, target_kl
         self.max_episode_steps, self.timesteps, self.resample_max = max_episode_steps, timesteps, resample_max
 
@@ -301,7 +304,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
             kept = self.rollout_buffer.keep(keep, advantages, loss_agg=self.loss_agg)
             if len(kept):
                 self.policy.set_training_mode(True)
-                self._update_learning_rate(self.policy.optimizer)
+                self._set_learning_rate()
                 settings = self._settings()
                 report = update_policy(
                     self.policy, kept, settings, rng=self.minibatch_rng, anchored=self._anchored(keep)
@@ -317,6 +320,16 @@ class FrontierGRPO(OnPolicyAlgorithm):
         self.logger.record("frontier/skipped_updates", self.skipped_updates)
         watch.log(self.logger, "optimize")
         self._iteration_start = None
+
+    def _set_learning_rate(self) -> None:
+        """Set the scheduled rate, times the share of failures where the option asks for it."""
+        self._update_learning_rate(self.policy.optimizer)
+        if self.scale_learning_rate == "failures":
+            assert self.last_group_success is not None
+            scheduled = self.lr_schedule(self._current_progress_remaining)
+            rate = scheduled * (1.0 - float(self.last_group_success.mean()))
+            update_learning_rate(self.policy.optimizer, rate)
+            self.logger.record("train/learning_rate", rate)
 
     def _anchored(self, keep: NDArray[np.bool_]) -> KeptTransitions | None:
         """Return the transitions of the groups that were dropped because they succeeded throughout."""

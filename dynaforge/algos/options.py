@@ -8,6 +8,7 @@ from typing import Any
 
 GROUP_FILTERS = ("mixed_success", "mixed_return", "none")
 ADVANTAGE_SCALES = ("group", "batch", "none")
+RATE_SCALES = ("none", "failures")
 LOSS_AGGREGATIONS = ("step", "episode")
 TIMESTEP_COUNTS = ("active", "nominal")
 
@@ -43,6 +44,7 @@ def check_grpo_options(model: Any) -> None:
     """
     check_choice("group_filter", model.group_filter, GROUP_FILTERS)
     check_choice("scale_advantage", model.scale_advantage, ADVANTAGE_SCALES)
+    check_choice("scale_learning_rate", model.scale_learning_rate, RATE_SCALES)
     check_choice("loss_agg", model.loss_agg, LOSS_AGGREGATIONS)
     check_choice("timesteps", model.timesteps, TIMESTEP_COUNTS)
     check_at_least("group_size", model.group_size, 2, "a lone rollout has nothing to be compared with")

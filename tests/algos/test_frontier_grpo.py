@@ -239,6 +239,15 @@ def test_target_kl_ends_an_update():
     assert model.optimizer_steps < 50
 
 
+@pytest.mark.parametrize("scale", ["none", "failures"])
+def test_the_rate_is_scaled_by_the_share_of_failures(scale):
+    model = small(envs(4), group_filter="none", learning_rate=1e-2, scale_learning_rate=scale).learn(1)
+    failures = 1.0 - model.last_group_success.mean()
+    assert 0.0 < failures < 1.0
+    expected = 1e-2 * failures if scale == "failures" else 1e-2
+    assert model.policy.optimizer.param_groups[0]["lr"] == pytest.approx(expected)
+
+
 def test_kl_penalty_holds_the_policy_back(logged):
     moved = {}
     for coef in (0.0, 100.0):

@@ -34,6 +34,7 @@ from dynaforge.algos import FrontierGRPO
         ({"clip_range": -0.1}, "clip_range is -0.1"),
         ({"max_grad_norm": 0.0}, "max_grad_norm is 0.0"),
         ({"max_episode_steps": 0}, "max_episode_steps is 0"),
+        ({"scale_learning_rate": "failure"}, "Did you mean 'failures'"),
     ],
 )
 def test_wrong_options_are_named(options, message):
@@ -44,6 +45,12 @@ def test_wrong_options_are_named(options, message):
 def test_mixed_success_on_an_env_without_success_names_the_remedy():
     with pytest.raises(ValueError, match="group_filter='mixed_return'"):
         small(DummyVecEnv([lambda: gym.make("CartPole-v1")])).learn(1)
+
+
+def test_a_rate_by_failures_on_an_env_without_success_names_the_remedy():
+    env = DummyVecEnv([lambda: gym.make("CartPole-v1")])
+    with pytest.raises(ValueError, match="scale_learning_rate='none'"):
+        small(env, group_filter="mixed_return", scale_learning_rate="failures").learn(1)
 
 
 def test_a_model_without_env_says_what_is_missing(tmp_path):
