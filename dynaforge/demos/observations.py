@@ -21,7 +21,7 @@ from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task
 
-WORKSPACE = ((0.15, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
+WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
 FOLDER = "observations"
 SETTINGS = "settings.json"
 WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
@@ -94,17 +94,21 @@ class ObservationRenderer:
 
         `<camera>/rgb` (T, H, W, 3) uint8, `<camera>/depth` (T, H, W) uint16 in tenths of a millimetre,
         `<camera>/segmentation` (T, H, W) int8, `<camera>/position` (T, 3) and `<camera>/quat_wxyz` (T, 4) of the
-        optical frame in the world; `points` (T, P, 3) float16, metres, world frame, and `point_colors` (T, P, 3) uint8.
+        optical frame in the world; `points` (T, P, 3) float16, metres, world frame, and `point_colors` (T, P, 3) uint8,
+        both zero at a step at which no camera sees a point of the workspace.
 
         Raises:
             ImportError: `fpsample`, of the `[data]` extra, is missing and points are wanted.
-            ValueError: The episode cannot be simulated again, or its replay leaves the recording.
+            ValueError: The episode cannot be simulated again, its replay leaves the recording, or no camera ever sees
+                a point of the workspace.
         """
         columns: dict[str, list[Any]] = {}
         for state in self._replayer.recorded_states(episode):
             images = [see(self._replayer.scene, camera, state.ee) for camera in self._settings.cameras]
             for name, value in self._arrays(images):
                 columns.setdefault(name, []).append(value)
+        if not any(map(np.any, columns.get("points", [True]))):
+            raise ValueError("No camera ever sees a point in the workspace; move a camera or widen the workspace.")
         return {name: np.stack(column) for name, column in columns.items()}
 
     def things(self) -> list[str]:
@@ -125,6 +129,8 @@ class ObservationRenderer:
             yield f"{camera.name}/quat_wxyz", image.pose.quat_wxyz
         if self._thin is not None:
             points, colors = self._cropped(images)
+            if not len(points):
+                points, colors = np.zeros((1, 3)), np.zeros((1, 3), np.uint8)
             kept = self._thin(points, self._settings.points)
             yield "points", points[kept].astype(np.float16)
             yield "point_colors", colors[kept]
@@ -155,7 +161,7 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
     except ImportError as error:
         raise ImportError("Point clouds need fpsample: pip install 'dynaforge[data]'.") from error
     if not len(points):
-        raise ValueError("No camera sees a point in the workspace; move a camera or widen the workspace.")
+        raise ValueError("There is no point to choose from.")
     if len(points) <= n:
         return np.resize(np.arange(len(points)), n)
     chosen = fpsample.bucket_fps_kdline_sampling(points.astype(np.float32), n, h=5, start_idx=0)

@@ -21,6 +21,7 @@ from dynaforge.demos.observations import (
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
 from dynaforge.registration import ENV_NAMES
+from dynaforge.sim.camera import Camera
 from dynaforge.tasks import get_task
 
 SMALL = (64, 48)
@@ -67,6 +68,24 @@ def test_points_lie_in_the_workspace_and_are_as_many_as_asked_for() -> None:
     assert not any("rgb" in name for name in arrays)
 
 
+def test_steps_at_which_nothing_is_seen_have_zeros() -> None:
+    """A column over the can's last position, seen from above, into which the can has yet to roll, before the hand is there."""
+    pytest.importorskip("fpsample")
+    episode = episode_of("can", steps=14)
+    x, y, z = episode.steps["object/can/position"][-1]
+    above = Camera("above", (x, y, 0.5), (x, y, 0.0), up=(1.0, 0.0, 0.0), size=SMALL)
+    column = ((x - 0.01, y - 0.01, 0.002), (x + 0.01, y + 0.01, 2.0 * z + 0.01))
+    renderer = ObservationRenderer(get_task("can"), ObservationSettings((above,), False, 16, column))
+    seen = renderer.render(episode)["points"]
+    renderer.close()
+    assert not seen[0].any()
+    assert seen[-1].all()
+    nowhere = ObservationRenderer(get_task("can"), ObservationSettings((above,), False, 16, ((5, 5, 5), (6, 6, 6))))
+    with pytest.raises(ValueError, match="No camera ever sees a point"):
+        nowhere.render(replace(episode, steps={name: rows[:2] for name, rows in episode.steps.items()}))
+    nowhere.close()
+
+
 def test_farthest_points_keep_their_distance() -> None:
     pytest.importorskip("fpsample")
     line = np.zeros((101, 3))
@@ -74,7 +93,7 @@ def test_farthest_points_keep_their_distance() -> None:
     chosen = np.sort(line[farthest_points(line, 5), 0])
     np.testing.assert_allclose(chosen, (0.0, 0.25, 0.5, 0.75, 1.0), atol=0.011)
     np.testing.assert_array_equal(farthest_points(line[:2], 5), (0, 1, 0, 1, 0))
-    with pytest.raises(ValueError, match="sees a point"):
+    with pytest.raises(ValueError, match="no point"):
         farthest_points(line[:0], 5)
 
 
