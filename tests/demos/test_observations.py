@@ -69,7 +69,7 @@ def test_points_lie_in_the_workspace_and_are_as_many_as_asked_for() -> None:
 
 
 def test_steps_at_which_nothing_is_seen_have_zeros() -> None:
-    """A column over the can's last position, seen from above, into which the can has yet to roll, before the hand is there."""
+    """A column over the can's last position, seen from above, into which neither can nor hand has come at first."""
     pytest.importorskip("fpsample")
     episode = episode_of("can", steps=14)
     x, y, z = episode.steps["object/can/position"][-1]
