@@ -23,6 +23,11 @@ FORMAT_VERSION = 1
 SUFFIX = ".h5"
 _USER_BLOCK = 512
 _MAGIC = b"DYNAFORGE-EPISODE"
+_UNFILLED = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # no fill values before the data; no times, so equal bytes
+_UNFILLED.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+_UNFILLED.set_obj_track_times(False)
+_WITH_GROUPS = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+_WITH_GROUPS.set_create_intermediate_group(True)
 
 
 class DamagedFileError(ValueError):
@@ -90,14 +95,21 @@ def check_seal(path: str | Path, data: bytes) -> None:
 
 def _encode(episode: Episode) -> bytes:
     # In memory: a full disk is then met by one plain write and not inside the HDF5 library.
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver="latest") as file:
+    with h5py.File("episode", "w", driver="core", backing_store=False, libver="latest") as file:
         file.attrs["header"] = json.dumps(episode.header(), sort_keys=True)
         file.attrs["content_hash"] = episode.content_hash()
         group = file.create_group("steps")
         for name, array in episode.steps.items():
-            group.create_dataset(name, data=array)
-    return buffer.getvalue()
+            _create_dataset(group, name, array)
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
+def _create_dataset(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
+    """Do what `group.create_dataset(name, data=array)` does in half its time: an episode has many, all small."""
+    kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create_simple(array.shape)
+    created = h5py.h5d.create(group.id, name.encode(), kind, space, dcpl=_UNFILLED, lcpl=_WITH_GROUPS)
+    created.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array))
 
 
 def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
