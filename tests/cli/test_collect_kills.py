@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -24,6 +25,24 @@ def start(folder: Path, attempts: int, *more: str) -> subprocess.Popen[bytes]:
         [*COMMAND, "--attempts", str(attempts), "--out", str(folder), *more],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
+
+
+class Recording(NamedTuple):
+    """A file as the system tells it from another, and what it holds."""
+
+    file: tuple[int, int, int]
+    content: str
+
+
+def read_back(dataset: DemonstrationDataset, known: dict[str, Recording]) -> dict[str, Recording]:
+    """Read every recording whose file is not the one that was read before."""
+    found = {}
+    for name in dataset.ids():
+        stat = dataset.file_of(name).stat()
+        file = (stat.st_ino, stat.st_mtime_ns, stat.st_size)
+        same = name in known and known[name].file == file
+        found[name] = known[name] if same else Recording(file, dataset[name].content_hash())
+    return found
 
 
 def wait_for_an_attempt(folder: Path, process: subprocess.Popen[bytes]) -> None:
@@ -46,7 +65,7 @@ def killed_again_and_again(folder: Path, reference: Path, *, kills: int) -> None
     recording must read back, and none that was finished before may have gone or changed.
     """
     rng = np.random.default_rng(0)
-    finished: dict[str, str] = {}
+    finished: dict[str, Recording] = {}
     grew = 0
     for k in range(kills):
         process = start(folder, 100_000)
@@ -57,8 +76,9 @@ def killed_again_and_again(folder: Path, reference: Path, *, kills: int) -> None
         process.wait()
         if not (folder / "dataset.json").is_file():
             continue
-        held = {episode.id: episode.content_hash() for episode in DemonstrationDataset(folder)}
-        assert finished.items() <= held.items(), "a finished episode was lost or changed"
+        held = read_back(DemonstrationDataset(folder), finished)
+        lost = [name for name in finished if name not in held or held[name].content != finished[name].content]
+        assert not lost, "a finished episode was lost or changed"
         grew += len(held) > len(finished)
         finished = held
     attempts = len(list(DemonstrationDataset(folder).attempts())) + 10
