@@ -69,11 +69,13 @@ def killed_again_and_again(folder: Path, reference: Path, *, kills: int) -> None
     grew = 0
     for k in range(kills):
         process = start(folder, 100_000)
-        if k % 4:
-            wait_for_an_attempt(folder, process)
-        time.sleep(rng.uniform(0.0, 2.0))
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        try:
+            if k % 4:
+                wait_for_an_attempt(folder, process)
+            time.sleep(rng.uniform(0.0, 2.0))
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
         if not (folder / "dataset.json").is_file():
             continue
         held = read_back(DemonstrationDataset(folder), finished)
