@@ -35,16 +35,16 @@ class TimedDataset(DemonstrationDataset):
 
     Attributes:
         began: When the first attempt arrived; NaN before.
-        cpu, wall: Seconds of this process, and of waiting for the disk too.
+        cpu, wall: Seconds of CPU, and of waiting for the disk too.
     """
 
     began, cpu, wall = float("nan"), 0.0, 0.0
 
     def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> None:
         """Add it and note the time."""
-        start, cpu = time.perf_counter(), time.process_time()
+        start, cpu = time.perf_counter(), time.thread_time()
         super().add(episode, wall_seconds=wall_seconds, block=block)
-        self.cpu, self.wall = self.cpu + time.process_time() - cpu, self.wall + time.perf_counter() - start
+        self.cpu, self.wall = self.cpu + time.thread_time() - cpu, self.wall + time.perf_counter() - start
         if math.isnan(self.began):
             self.began = start
 
