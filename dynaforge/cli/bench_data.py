@@ -8,13 +8,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
-from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.bench_figure import Figure, spread, tracked
-from dynaforge.cli.evaluate import shipped_policy
+from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
@@ -51,8 +51,7 @@ class TimedDataset(DemonstrationDataset):
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:
     """Collect as `dynaforge collect` does, with the shipped policy: the share of all cores that writing takes."""
-    policy = MlpPolicyFile.load(shipped_policy(task), task=task.name)
-    generator = ResidualGenerator(policy, policy_hash=policy.digest)
+    generator = make_generator("residual", task, Namespace(policy=None))
     shares, busy, cores = [], [], os.cpu_count() or 1
     for number in tracked(range(rounds), "writing"):
         with tempfile.TemporaryDirectory() as folder:
@@ -130,7 +129,7 @@ def demonstrations(task: Task) -> list[Figure]:
         collecting = (time.perf_counter() - start) / 60
         rendered = _dynaforge("render", folder, "--cameras", "front", "--points", str(POINTS), "--no-images")
         both = (time.perf_counter() - start) / 60
-        attempts = list(DemonstrationDataset(folder).attempts())
+        attempts = DemonstrationDataset(folder).attempts()
     n = sum(attempt.success for attempt in attempts)
     data = {"successes": n, "attempts": len(attempts), "collecting": collecting, "both": both}
     return [

@@ -91,18 +91,13 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
-    policy = MlpPolicyFile.load(options.policy or shipped_policy(task), task=task.name)
+    policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task.name)
     if name == "exploring":
         return ResidualGenerator(Exploring(policy, options.sigma), policy_hash=policy.digest, name=name)
     return ResidualGenerator(policy, policy_hash=policy.digest)
 
 
-def shipped_policy(task: Task) -> Path:
-    """Return the policy file that the package brings for a task.
-
-    Raises:
-        ValueError: It brings none.
-    """
+def _shipped_policy(task: Task) -> Path:
     try:
         return asset_path(f"{task.name}/policy.safetensors")
     except FileNotFoundError:

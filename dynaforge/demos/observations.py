@@ -107,7 +107,7 @@ class ObservationRenderer:
             images = [see(self._replayer.scene, camera, state.ee) for camera in self._settings.cameras]
             for name, value in self._arrays(images):
                 columns.setdefault(name, []).append(value)
-        if not any(map(np.any, columns.get("points", [True]))):
+        if "points" in columns and not np.any(columns["points"]):
             raise ValueError("No camera ever sees a point in the workspace; move a camera or widen the workspace.")
         return {name: np.stack(column) for name, column in columns.items()}
 

@@ -83,7 +83,7 @@ def killed_again_and_again(folder: Path, reference: Path, *, kills: int) -> None
         assert not lost, "a finished episode was lost or changed"
         grew += len(held) > len(finished)
         finished = held
-    attempts = len(list(DemonstrationDataset(folder).attempts())) + 10
+    attempts = len(DemonstrationDataset(folder).attempts()) + 10
     assert start(folder, attempts).wait() == 0
     assert start(reference, attempts).wait() == 0
     once = {episode.id: episode.content_hash() for episode in DemonstrationDataset(reference)}
