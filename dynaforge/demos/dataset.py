@@ -8,11 +8,10 @@ from pathlib import Path
 
 from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, read_episode, write_episode
+from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, DamagedFileError, read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
 
 FORMAT = "dynaforge-demonstrations"
-FORMAT_VERSION = 1
 _MARKER = "dataset.json"
 _EPISODES = "episodes"
 _LEDGER = "ledger.jsonl"

@@ -1,7 +1,8 @@
 """One immutable HDF5 file an episode: every flipped bit and every lost tail is noticed on reading.
 
 The file begins with a 512-byte HDF5 user block: one text line with the SHA-256 and the length of all bytes that
-follow. Any HDF5 reader skips it. Root attributes: `header` (JSON) and `content_hash`; datasets: `steps/<name>`.
+follow. Any HDF5 reader skips it. Root attributes: `header` (JSON) and `content_hash`; one table `steps`, a row a
+control step and a column a quantity: `file["steps"]["q"]`. Its 22 columns take a third of the time of 22 datasets.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +21,16 @@ from numpy.typing import NDArray
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SUFFIX = ".h5"
 _USER_BLOCK = 512
 _MAGIC = b"DYNAFORGE-EPISODE"
+_IN_MEMORY = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+_IN_MEMORY.set_fapl_core(1 << 16, False)
+_IN_MEMORY.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
 _UNFILLED = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # no fill values before the data; no times, so equal bytes
 _UNFILLED.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
 _UNFILLED.set_obj_track_times(False)
-_WITH_GROUPS = h5py.h5p.create(h5py.h5p.LINK_CREATE)
-_WITH_GROUPS.set_create_intermediate_group(True)
 
 
 class DamagedFileError(ValueError):
@@ -95,26 +98,37 @@ def check_seal(path: str | Path, data: bytes) -> None:
 
 def _encode(episode: Episode) -> bytes:
     # In memory: a full disk is then met by one plain write and not inside the HDF5 library.
-    with h5py.File("episode", "w", driver="core", backing_store=False, libver="latest") as file:
+    with h5py.File(h5py.h5f.create(b"episode", fapl=_IN_MEMORY)) as file:
         file.attrs["header"] = json.dumps(episode.header(), sort_keys=True)
         file.attrs["content_hash"] = episode.content_hash()
-        group = file.create_group("steps")
-        for name, array in episode.steps.items():
-            _create_dataset(group, name, array)
+        if episode.steps:
+            _create_table(file, episode)
         file.flush()
         return bytes(file.id.get_file_image())
 
 
-def _create_dataset(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
-    """Do what `group.create_dataset(name, data=array)` does in half its time: an episode has many, all small."""
-    kind, space = h5py.h5t.py_create(array.dtype, logical=True), h5py.h5s.create_simple(array.shape)
-    created = h5py.h5d.create(group.id, name.encode(), kind, space, dcpl=_UNFILLED, lcpl=_WITH_GROUPS)
-    created.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array))
+def _create_table(file: h5py.File, episode: Episode) -> None:
+    """Do what `file.create_dataset("steps", data=table)` does in a third of its time."""
+    columns = tuple((name, array.dtype.str, array.shape[1:]) for name, array in episode.steps.items())
+    kind = _table_type(columns)
+    table = np.empty(len(episode), np.dtype(list(columns)))
+    for name, array in episode.steps.items():
+        table[name] = array
+    space = h5py.h5s.create_simple(table.shape)
+    created = h5py.h5d.create(file.id, b"steps", kind, space, dcpl=_UNFILLED)
+    created.write(h5py.h5s.ALL, h5py.h5s.ALL, table, mtype=kind)
+
+
+@lru_cache(maxsize=64)  # a collector meets one
+def _table_type(columns: tuple[tuple[str, str, tuple[int, ...]], ...]) -> Any:
+    return h5py.h5t.py_create(np.dtype(list(columns)), logical=True)
 
 
 def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
     with h5py.File(io.BytesIO(data), "r") as file:
-        return json.loads(file.attrs["header"]), read_arrays(file["steps"]), str(file.attrs["content_hash"])
+        steps = file["steps"][()] if "steps" in file else np.empty(0, [])
+        arrays = {name: steps[name] for name in steps.dtype.names or ()}
+        return json.loads(file.attrs["header"]), arrays, str(file.attrs["content_hash"])
 
 
 def read_arrays(group: Any) -> dict[str, NDArray[Any]]:

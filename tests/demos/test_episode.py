@@ -32,7 +32,12 @@ def test_file_opens_with_plain_h5py_and_holds_its_header(tmp_path):
     write_episode(tmp_path / "one.h5", make_episode())
     with h5py.File(tmp_path / "one.h5") as file:
         assert '"generator": "planner"' in file.attrs["header"]
-        assert file["steps/object/can/position"].shape == (20, 3)
+        assert file["steps"]["object/can/position"].shape == (20, 3)
+
+
+def test_an_episode_without_steps_reads_back(tmp_path):
+    write_episode(tmp_path / "none.h5", with_steps())
+    assert dict(read_episode(tmp_path / "none.h5").steps) == {}
 
 
 def test_content_hash_changes_with_any_array_and_with_the_header():
