@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +17,7 @@ import dynaforge
 from dynaforge.envs.observation import HISTORY
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.registration import ENV_NAMES
-from dynaforge.sim import Condition
+from dynaforge.sim import Condition, SceneState
 from dynaforge.tasks import Task
 
 assert dynaforge.__version__
@@ -45,34 +46,50 @@ def drawn(env: gym.Env, seed: int, stratum: int = 2) -> Condition:
     return env.unwrapped.condition_sampler.draw(np.random.default_rng(seed), stratum, 8)
 
 
-def random_episode(env: gym.Env, condition: Condition, rng: np.random.Generator, scale: float = 1.0):
-    """Yield the result of each step of an episode of random actions."""
+@dataclass(frozen=True)
+class RandomEpisode:
+    """What each step of an episode of random actions gave, and the state it led to."""
+
+    condition: Condition
+    results: list[tuple[Any, ...]]
+    states: list[SceneState]
+
+
+def random_episode(env: gym.Env, condition: Condition, rng: np.random.Generator, scale: float = 1.0) -> RandomEpisode:
     low, high = env.action_space.low, env.action_space.high
     middle, half = (low + high) / 2, scale * (high - low) / 2
     env.reset(options={"condition": condition})
-    done = False
-    while not done:
+    episode = RandomEpisode(condition, [], [])
+    while not episode.results or not episode.results[-1][2]:
         chosen = middle + half * rng.uniform(-1.0, 1.0, low.shape)
-        result = env.step(chosen.astype(np.float32))
-        done = result[2]
-        yield result
+        episode.results.append(env.step(chosen.astype(np.float32)))
+        episode.states.append(env.unwrapped.world.state)
+    return episode
 
 
-def check_episode(env: gym.Env, condition: Condition, rng: np.random.Generator) -> None:
-    robot, rewards, info = env.unwrapped.world.scene.robot, [], {}
-    for observation, reward, done, truncated, told in random_episode(env, condition, rng):
+@pytest.fixture(scope="module")
+def episodes(env: gym.Env) -> list[RandomEpisode]:
+    """Some episodes by the planner (no residual), gentle and wild."""
+    rng = np.random.default_rng(2)
+    if isinstance(env.unwrapped, ResidualEnv):
+        chosen = [(4, 0, 0.0), (5, 0, 0.05), (6, 0, 0.1), (4, 1, 0.1), (5, 4, 0.3), (6, 1, 1.0)]
+    else:
+        chosen = [(4, 0, 0.2), (5, 4, 1.0)]
+    return [random_episode(env, drawn(env, k, stratum), rng, scale) for k, stratum, scale in chosen]
+
+
+def check_episode(env: gym.Env, episode: RandomEpisode) -> None:
+    robot = env.unwrapped.world.scene.robot
+    for (observation, reward, done, truncated, _), state in zip(episode.results, episode.states, strict=True):
         assert observation in env.observation_space
         assert np.isfinite(observation).all()
         assert type(reward) is float
         assert type(done) is bool
         assert truncated is False
-        state = env.unwrapped.world.state
         too_fast = bool((np.abs(state.dq) > robot.stop_speed * robot.dq_max).any())
         assert done or not too_fast
         assert math.isfinite(sum(body.pose.position.sum() for body in state.objects.values()))
-        rewards.append(reward)
-        info = told
-    check_end(env, rewards, info, condition)
+    check_end(env, [result[1] for result in episode.results], episode.results[-1][4], episode.condition)
 
 
 def check_end(env: gym.Env, rewards: list[float], info: dict[str, Any], condition: Condition) -> None:
@@ -107,10 +124,9 @@ def test_stable_baselines_accepts_it(env: gym.Env) -> None:
     sb3_check_env(env.unwrapped, warn=isinstance(env.unwrapped, ResidualEnv), skip_render_check=True)
 
 
-def test_random_episodes_are_finite_and_end_as_agreed(env: gym.Env) -> None:
-    rng = np.random.default_rng(0)
-    for k in range(3):
-        check_episode(env, drawn(env, k, 3 * k), rng)
+def test_random_episodes_are_finite_and_end_as_agreed(env: gym.Env, episodes: list[RandomEpisode]) -> None:
+    for episode in episodes:
+        check_episode(env, episode)
 
 
 @pytest.mark.slow
@@ -118,7 +134,7 @@ def test_random_episodes_are_finite_and_end_as_agreed(env: gym.Env) -> None:
 def test_two_hundred_random_episodes_are_finite_and_end_as_agreed(env: gym.Env) -> None:
     rng = np.random.default_rng(1)
     for k in range(200):
-        check_episode(env, drawn(env, k, k % 8), rng)
+        check_episode(env, random_episode(env, drawn(env, k, k % 8), rng))
 
 
 def test_the_sizes_of_the_layout_add_up(env: gym.Env) -> None:
@@ -128,28 +144,12 @@ def test_the_sizes_of_the_layout_add_up(env: gym.Env) -> None:
     assert len({part[0] for part in layout}) == len(layout)
 
 
-def varying(env: gym.Env) -> set[tuple[str, int]]:
-    """Collect which elements of which parts changed over some episodes, by planner, gentle and wild."""
-    inner, rng = env.unwrapped, np.random.default_rng(2)
+def test_every_element_of_the_observation_carries_something(env: gym.Env, episodes: list[RandomEpisode]) -> None:
+    inner = env.unwrapped
     layout = inner.observer.layout if isinstance(inner, ResidualEnv) else inner.layout
     names = [(name, i) for name, size, *_ in layout for i in range(size)]
-    if isinstance(inner, ResidualEnv):
-        episodes = [(4, 0, 0.0), (5, 0, 0.05), (6, 0, 0.1), (4, 1, 0.1), (5, 4, 0.3), (6, 1, 1.0)]
-    else:
-        episodes = [(4, 0, 0.2), (5, 4, 1.0)]
-    rows = [
-        result[0]
-        for k, stratum, scale in episodes
-        for result in random_episode(env, drawn(env, k, stratum), rng, scale)
-    ]
-    return {name for name, spread in zip(names, np.ptp(rows, axis=0), strict=True) if spread > 0}
-
-
-def test_every_element_of_the_observation_carries_something(env: gym.Env) -> None:
-    inner = env.unwrapped
-    varied = varying(env)
-    layout = inner.observer.layout if isinstance(inner, ResidualEnv) else inner.layout
-    constant = {(name, i) for name, size, *_ in layout for i in range(size)} - varied
+    spreads = np.ptp([result[0] for episode in episodes for result in episode.results], axis=0)
+    constant = {name for name, spread in zip(names, spreads, strict=True) if spread == 0}
     if isinstance(inner, ResidualEnv):
         # Under "skip" a decision never starts in a phase without a gate.
         skipped = [i for i, phase in enumerate(inner.task.phases) if not phase.gate]
