@@ -323,13 +323,12 @@ class FrontierGRPO(OnPolicyAlgorithm):
 
     def _set_learning_rate(self) -> None:
         """Set the scheduled rate, times the share of failures where the option asks for it."""
-        self._update_learning_rate(self.policy.optimizer)
+        rate = self.lr_schedule(self._current_progress_remaining)
         if self.scale_learning_rate == "failures":
             assert self.last_group_success is not None
-            scheduled = self.lr_schedule(self._current_progress_remaining)
-            rate = scheduled * (1.0 - float(self.last_group_success.mean()))
-            update_learning_rate(self.policy.optimizer, rate)
-            self.logger.record("train/learning_rate", rate)
+            rate *= 1.0 - float(self.last_group_success.mean())
+        update_learning_rate(self.policy.optimizer, rate)
+        self.logger.record("train/learning_rate", rate)
 
     def _anchored(self, keep: NDArray[np.bool_]) -> KeptTransitions | None:
         """Return the transitions of the groups that were dropped because they succeeded throughout."""
