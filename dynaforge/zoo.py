@@ -1,4 +1,4 @@
-"""Leads `python -m dynaforge.zoo train|enjoy ...` to `dynaforge.cli.zoo`: rl_zoo3 with our algorithm and envs."""
+"""Leads `python -m dynaforge.zoo train|enjoy|record_video` to `dynaforge.cli.zoo`: rl_zoo3, our algorithm and envs."""
 
 from dynaforge.cli.zoo import main
 

@@ -227,7 +227,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
             self._last_obs = WrapperStack(self.env).base.reset()  # type: ignore[assignment]
         prepared = super()._setup_learn(total_timesteps, callback, reset_num_timesteps, *args)
         if self._saved_state is not None and not reset_num_timesteps:
-            self._saved_state.restore_torch()
+            self._saved_state.restore_torch(self.device)
         self._saved_state = None
         self._conditions = self._find_conditions(self.env)
         return prepared

@@ -36,8 +36,8 @@ class RandomState:
         for generator, state in zip(generators, self.generators, strict=True):
             generator.bit_generator.state = state
 
-    def restore_torch(self) -> None:
-        """Set torch's global generators back to this state."""
+    def restore_torch(self, device: th.device) -> None:
+        """Set torch's generators back to this state, the one of `device` if it and the one read from are CUDA's."""
         th.set_rng_state(self.torch[0].cpu())
-        if len(self.torch) > 1 and th.cuda.is_available():
-            th.cuda.set_rng_state(self.torch[1].cpu())
+        if len(self.torch) > 1 and device.type == "cuda":
+            th.cuda.set_rng_state(self.torch[1].cpu(), device)

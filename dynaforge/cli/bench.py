@@ -7,7 +7,6 @@ import difflib
 import json
 import os
 import platform
-import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -121,7 +120,7 @@ def _check_out(out: Path) -> None:
 
 def _record(figures: dict[str, list[Figure]], options: argparse.Namespace, machine: dict[str, Any]) -> dict[str, Any]:
     return {
-        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
+        "command": options.command,
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "machine": machine,
         "versions": package_versions(),

@@ -11,12 +11,12 @@ from tqdm import tqdm
 
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
+from dynaforge.demos.dataset import SOURCES
 from dynaforge.generators import Generator, Goal, Source, collect, run_attempts
 from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.tasks import TASK_NAMES, get_task
 
 GENERATORS = ("residual", "planner_only")
-SOURCES = "generators.json"  # which policy stands behind each generator's name in a folder
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

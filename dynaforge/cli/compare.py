@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import queue
-import shlex
 import subprocess
 import sys
 import threading
@@ -61,8 +60,8 @@ def run(options: argparse.Namespace) -> int:
     if not comparison.runs:
         print("nothing is finished yet, so there is nothing to report")
         return 0 if options.report_only else 1
-    command = shlex.join(["dynaforge", *sys.argv[1:]])
-    page = write_comparison(options.out, comparison, command=command, date=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC")
+    date = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
+    page = write_comparison(options.out, comparison, command=options.command, date=date)
     print(f"\n{comparison.table()}\n")
     print(f"report {page}")
     if not complete and not options.report_only:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shlex
-import sys
 import time
 from datetime import UTC, datetime
 from itertools import islice
@@ -64,15 +62,14 @@ def run(options: argparse.Namespace) -> int:
         for report in reports:
             print(report.table())
         path = out if len(tasks) == 1 else out.with_stem(f"{out.stem}-{task.name}")
-        _write(path, task, reports, gains, measured)
+        _write(path, options.command, task, reports, gains, measured)
         print(f"written to {path}")
         table[task.name] = reports
     if len(tasks) > 1:
         minutes = (time.monotonic() - started) / 60
         print(f"\n{task_table(table)}\ntook {minutes:.1f} minutes")
-        _write_json(
-            out, {"minutes": round(minutes, 1), "tasks": {n: [r.to_dict() for r in rs] for n, rs in table.items()}}
-        )
+        tasks_json = {n: [r.to_dict() for r in rs] for n, rs in table.items()}
+        _write_json(out, options.command, {"minutes": round(minutes, 1), "tasks": tasks_json})
         print(f"written to {out}")
     return 0
 
@@ -147,8 +144,9 @@ def _evenly_spread(task: Task, attempts: list[Attempt]) -> bool:
 
 
 def _write(
-    path: Path, task: Task, reports: list[DgrReport], gains: dict[str, Any], measured: dict[str, list[Attempt]]
-) -> None:
+    path: Path, command: str, task: Task, reports: list[DgrReport], gains: dict[str, Any],
+    measured: dict[str, list[Attempt]],
+) -> None:  # fmt: skip
     data = {
         "task": task.name,
         "reports": [report.to_dict() for report in reports],
@@ -161,12 +159,12 @@ def _write(
             name: [a.failure if not a.success else "success" for a in attempts] for name, attempts in measured.items()
         },
     }
-    _write_json(path, data)
+    _write_json(path, command, data)
 
 
-def _write_json(path: Path, data: dict[str, Any]) -> None:
+def _write_json(path: Path, command: str, data: dict[str, Any]) -> None:
     about = {
-        "command": shlex.join(["dynaforge", *sys.argv[1:]]),
+        "command": command,
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "versions": package_versions(),
     }

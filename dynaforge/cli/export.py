@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         n = write(temporary, task, frames())
         write_card(
             temporary, task, dataset.attempts(), kept, layout=options.format, licence=options.license, actions=names,
-            command=shlex.join(["dynaforge", *sys.argv[1:]]),
+            command=options.command,
         )  # fmt: skip
         os.replace(temporary, out)
     finally:

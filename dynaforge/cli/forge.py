@@ -6,8 +6,6 @@ import argparse
 import json
 import math
 import os
-import shlex
-import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -226,9 +224,8 @@ def _write(
     out: Path, task: Task, options: argparse.Namespace, history: TrainingHistory, reports: list[DgrReport],
     paired: PairedDifference, attempts: list[Attempt],
 ) -> None:  # fmt: skip
-    command = shlex.join(["dynaforge", *sys.argv[1:]])
     result = {
-        "command": command,
+        "command": options.command,
         "task": task.name,
         "algo": options.algo,
         "seed": options.seed,
@@ -253,7 +250,7 @@ def _write(
         ReportData(
             title=f"{task.env_name}: demonstrations forged",
             task=task.name,
-            command=command,
+            command=options.command,
             date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             seeds={"training seed": options.seed, "conditions": "stream test, block 0"},
             versions=package_versions(),

@@ -7,6 +7,7 @@ import contextlib
 import difflib
 import errno
 import os
+import shlex
 import signal
 import sys
 import threading
@@ -27,9 +28,10 @@ COMMANDS = {
     "compare": "train several algorithms on the same tasks and seeds, measure and report; resumes",
     "bench": "the project's figures: speed, determinism, limits",
     "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
-    "enjoy": "rl_zoo3's enjoy",
+    "enjoy": "rl_zoo3's enjoy: play a trained policy",
+    "record_video": "rl_zoo3's record_video: an MP4 of it",
 }
-ZOO = ("train", "enjoy")
+ZOO = ("train", "enjoy", "record_video")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     module.add_arguments(parser, name)
     options = parser.parse_args(arguments[1:])
+    options.command = shlex.join(["dynaforge", *arguments])
     try:
         with _sigterm_as_ctrl_c():
             return int(module.run(options))
@@ -94,6 +97,6 @@ def _overview(name: str) -> int:
         return 2
     print("usage: dynaforge COMMAND [--help]\n")
     for command, text in COMMANDS.items():
-        print(f"  {command:<9} {text}")
+        print(f"  {command:<12} {text}")
     print("\nFirst steps: `dynaforge forge --task can` (about 15 minutes), or `dynaforge list`.")
     return 0

@@ -1,16 +1,19 @@
-"""rl_zoo3 with FrontierGRPO and the DynaForge envs registered: what `dynaforge train` and `dynaforge enjoy` run.
+"""rl_zoo3 with FrontierGRPO and the DynaForge envs registered: `dynaforge train`, `enjoy` and `record_video`.
 
 Flags, log folders and output are rl_zoo3's own; a run ends in `logs/<algo>/<env>_<run>/` unless `-f` says otherwise.
 What is added: the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list
-the env, worker processes for the DynaForge envs unless `--vec-env` is given, and `--trusted`.
+the env, worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the trained
+model, which `evaluate` and `collect` take as `--policy`, and `--trusted`.
 """
 
 from __future__ import annotations
 
 import argparse
 import difflib
+import functools
+import runpy
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -18,23 +21,28 @@ from typing import Any
 
 import yaml
 
+from dynaforge.registration import ENV_NAMES, env_id
+
 ALGORITHMS = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
+
+SCRIPTS = ("train", "enjoy", "record_video")
+"""Of rl_zoo3."""
 
 NET_ARCHS = {"small": [64, 64], "medium": [128, 128], "large": [256, 256]}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run rl_zoo3's `train` or `enjoy` on arguments as the shell gives them, by default those of this process.
+    """Run a script of rl_zoo3 on arguments as the shell gives them, by default those of this process.
 
     Raises:
         SystemExit: An unknown script, env, algorithm or configuration file, an untrusted checkpoint, or no rl_zoo3;
             its message is one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] not in ("train", "enjoy"):
+    if not arguments or arguments[0] not in SCRIPTS:
         given = repr(arguments[0]) if arguments else "nothing"
-        raise SystemExit(f"dynaforge: expected 'train' or 'enjoy' and its flags, was given {given}")
+        raise SystemExit(f"dynaforge: expected 'train', 'enjoy' or 'record_video' and its flags, was given {given}")
     script, *flags = arguments
     asked = _parse(script, flags)
     flags = [flag for flag in flags if flag != "--trusted"]
@@ -63,7 +71,7 @@ def register_with_zoo() -> None:
         from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
     except ModuleNotFoundError as error:
         raise SystemExit(
-            f"dynaforge: train and enjoy need {error.name}, missing here; pip install 'dynaforge[zoo]'"
+            f"dynaforge: {', '.join(SCRIPTS)} need {error.name}, missing here; pip install 'dynaforge[zoo]'"
         ) from error
     from dynaforge.algos import FrontierGRPO
 
@@ -134,7 +142,7 @@ def _check_files(script: str, asked: argparse.Namespace) -> None:
     conf = asked.conf_file
     if conf is not None and conf.endswith((".yml", ".yaml", ".py")) and not Path(conf).is_file():
         raise SystemExit(f"dynaforge train: no hyperparameter file {conf!r}; leave -conf out for the installed one")
-    if (script == "enjoy" or asked.trained_agent) and not asked.trusted:
+    if (script != "train" or asked.trained_agent) and not asked.trusted:
         what = asked.trained_agent or "an rl_zoo3 checkpoint"
         raise SystemExit(
             f"dynaforge {script}: loading {what} can run code stored in it; add --trusted if it is your own"
@@ -161,14 +169,42 @@ def _zoo_process(script: str, flags: list[str], *, own_vec_env: bool) -> Iterato
 
     from dynaforge.envs.vector_env import SharedMemoryVecEnv
 
-    previous = sys.argv, ExperimentManager.default_vec_env_cls
+    manager: Any = ExperimentManager
+    previous = sys.argv, manager.default_vec_env_cls, manager.save_trained_model
     sys.argv = [f"dynaforge {script}", *flags]
+    manager.save_trained_model = _saving_the_policy(manager.save_trained_model)
     if own_vec_env and script == "train":
-        ExperimentManager.default_vec_env_cls = SharedMemoryVecEnv
+        manager.default_vec_env_cls = SharedMemoryVecEnv
     try:
         yield
     finally:
-        sys.argv, ExperimentManager.default_vec_env_cls = previous
+        sys.argv, manager.default_vec_env_cls, manager.save_trained_model = previous
+
+
+def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Let rl_zoo3's saving of a trained model write `policy.safetensors` too, where the env is a task's."""
+
+    @functools.wraps(save)
+    def save_trained_model(manager: Any, model: Any) -> None:
+        save(manager, model)
+        task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
+        if task is None:
+            return
+        from dynaforge.cli.training import policy_file
+
+        try:
+            if manager.normalize:
+                raise ValueError("A policy file holds no normalisation.")
+            updates = model._n_updates // model.n_epochs
+            policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
+        except (ValueError, AttributeError) as error:
+            print(f"No policy.safetensors: {error}")
+            return
+        path = Path(manager.save_path) / "policy.safetensors"
+        policy.save(path)
+        print(f"Policy for evaluate and collect: --policy {path}")
+
+    return save_trained_model
 
 
 def _run(script: str) -> None:
@@ -177,7 +213,9 @@ def _run(script: str) -> None:
         from rl_zoo3.train import train
 
         train()
-    else:
+    elif script == "enjoy":
         from rl_zoo3.enjoy import enjoy
 
         enjoy()
+    else:
+        runpy.run_module("rl_zoo3.record_video", run_name="__main__")

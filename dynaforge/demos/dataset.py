@@ -13,6 +13,7 @@ from dynaforge.demos.ledger import Attempt, Ledger
 
 FORMAT = "dynaforge-demonstrations"
 _MARKER = "dataset.json"
+SOURCES = "generators.json"  # which policy stands behind each generator's name
 _EPISODES = "episodes"
 _LEDGER = "ledger.jsonl"
 
@@ -58,9 +59,10 @@ class DemonstrationDataset:
             OSError: The disk is full or the folder has gone; nothing that was added before is lost.
         """
         self._check(episode.condition.task)
-        if episode.success or self.keep_failures:
+        kept = episode.success or self.keep_failures
+        if kept:
             write_episode(self.file_of(episode.id), episode)
-        self.ledger.append(Attempt.of(episode, wall_seconds=wall_seconds, block=block))
+        self.ledger.append(Attempt.of(episode, wall_seconds=wall_seconds, block=block, recorded=kept))
 
     def record(self, attempt: Attempt) -> None:
         """Record an attempt that left no recording (a planner failure, an exception): it counts all the same.
@@ -76,7 +78,7 @@ class DemonstrationDataset:
         found = {attempt.id: attempt for attempt in self.ledger.attempts()}
         for name in self.ids():
             if name not in found:
-                found[name] = Attempt.of(self[name])
+                found[name] = Attempt.of(self[name], recorded=True)
         return list(found.values())
 
     def dgr(self) -> float:
@@ -130,7 +132,7 @@ class DemonstrationDataset:
         noted = {attempt.id for attempt in self.ledger.attempts()}
         for name in self.ids():
             if name not in noted:  # a kill fell between the file and its line
-                self.ledger.append(Attempt.of(self[name]))
+                self.ledger.append(Attempt.of(self[name], recorded=True))
 
 
 def _prepare(path: Path, task: str) -> None:

@@ -24,6 +24,7 @@ class Attempt:
         condition, generator, success, checkpoint, failure, phase, duration: As in `Episode`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
         block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
+        recorded: Whether its recording was kept.
     """
 
     condition: Condition
@@ -35,6 +36,7 @@ class Attempt:
     duration: float
     wall_seconds: float = 0.0
     block: int = 0
+    recorded: bool = False
 
     def __post_init__(self) -> None:
         episode_id(self.condition, self.generator)
@@ -51,7 +53,7 @@ class Attempt:
         return self.condition.difficulty
 
     @staticmethod
-    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> Attempt:
+    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
         """Take the outcome out of an episode."""
         return Attempt(
             episode.condition,
@@ -63,6 +65,7 @@ class Attempt:
             episode.duration,
             wall_seconds,
             block,
+            recorded,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -77,6 +80,7 @@ class Attempt:
             "duration": float(self.duration),
             "wall_seconds": float(self.wall_seconds),
             "block": int(self.block),
+            "recorded": bool(self.recorded),
         }
 
     @staticmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,12 @@ import numpy as np
 
 from dynaforge.demos.atomic import is_temporary
 from dynaforge.demos.audit import audit
-from dynaforge.demos.dataset import DemonstrationDataset
+from dynaforge.demos.dataset import SOURCES, DemonstrationDataset
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError
 from dynaforge.demos.ledger import Attempt
+from dynaforge.demos.observations import FOLDER as OBSERVATIONS
+from dynaforge.demos.observations import SETTINGS, read_observations
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
 from dynaforge.tasks.digest import task_digest
@@ -35,27 +38,57 @@ class Finding:
         return f"{self.path}: {self.problem}"
 
 
-def verify_ledger(dataset: DemonstrationDataset) -> list[Finding]:
-    """Check the ledger, and that every success in it has its recording."""
-    path = dataset.ledger.path
-    found = [Finding(path, f"line {n} was torn or altered") for n in dataset.ledger.damaged_lines()]
-    names = set(dataset.ids())
-    for attempt in dataset.ledger.attempts():
+def verify_folder(dataset: DemonstrationDataset) -> list[Finding]:
+    """Check the ledger against the recordings, both ways, and that nothing else lies among the files.
+
+    Lines lost from the ledger are seen by the recordings they spoke of; of a lost failure that left none, nothing is.
+    """
+    ledger, names = dataset.ledger.path, set(dataset.ids())
+    found = [Finding(ledger, f"line {n} was torn or altered") for n in dataset.ledger.damaged_lines()]
+    noted = dataset.ledger.attempts()
+    for attempt in noted:
         if attempt.condition.task != dataset.task:
-            found.append(Finding(path, f"attempt {attempt.id} is one at task {attempt.condition.task!r}"))
-        elif attempt.success and attempt.id not in names:
-            found.append(Finding(dataset.file_of(attempt.id), "the recording of this success is missing"))
-    for other in sorted((dataset.path / "episodes").iterdir()):
-        if other.suffix != SUFFIX and not is_temporary(other):
-            found.append(Finding(other, "it is no episode file"))
+            found.append(Finding(ledger, f"attempt {attempt.id} is one at task {attempt.condition.task!r}"))
+        elif (attempt.success or attempt.recorded) and attempt.id not in names:
+            found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
+    for name in sorted(names - {attempt.id for attempt in noted}):
+        found.append(Finding(ledger, f"no line tells of {name}: lost, or a kill fell before it (`collect` adds it)"))
+    sources = dataset.path / SOURCES
+    if sources.exists() and not _is_json(sources):
+        found.append(Finding(sources, "it is no JSON"))
+    return found + _strangers(dataset.path / "episodes", names) + _observation_findings(dataset, names)
+
+
+def _strangers(folder: Path, names: set[str], *others: str) -> list[Finding]:
+    """Find files that are none of a folder's; a file under way is one."""
+    return [
+        Finding(path, "it belongs to no episode here")
+        for path in (sorted(folder.iterdir()) if folder.is_dir() else [])
+        if not (path.suffix == SUFFIX and path.stem in names) and path.name not in others and not is_temporary(path)
+    ]
+
+
+def _observation_findings(dataset: DemonstrationDataset, names: set[str]) -> list[Finding]:
+    folder = dataset.path / OBSERVATIONS
+    found = _strangers(folder, names, SETTINGS)
+    if folder.is_dir() and not _is_json(folder / SETTINGS):
+        found.append(Finding(folder / SETTINGS, "it is missing, or no JSON"))
     return found
+
+
+def _is_json(path: Path) -> bool:
+    try:
+        json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def verify_episode(
     dataset: DemonstrationDataset, name: str, noted: Attempt | None, replayer: Replayer | None = None, *,
     audited: bool = False,
 ) -> list[Finding]:  # fmt: skip
-    """Check one recording: bytes, shapes, time, finite values, outcome; and its physics, if a replayer is given.
+    """Check one recording, what was rendered of it, and its physics if a replayer is given.
 
     Args:
         dataset: Where it is.
@@ -84,17 +117,30 @@ def verify_episode(
                 problems.append(f"its success is recorded as {episode.success}, its replay ends in {replay.success}")
     if audited:
         problems += map(str, audit(episode, replayer=replayer))
-    return [Finding(path, problem) for problem in problems]
+    return [Finding(path, problem) for problem in problems] + _wrong_observations(dataset, episode)
 
 
 def verify(
     dataset: DemonstrationDataset, *, replayer: Replayer | None = None, audited: bool = False
 ) -> Iterator[list[Finding]]:
-    """Check everything: yields the findings of the ledger, then of each recording in turn."""
-    yield verify_ledger(dataset)
+    """Check everything: yields the findings of the folder as a whole, then of each recording in turn."""
+    yield verify_folder(dataset)
     noted = {attempt.id: attempt for attempt in dataset.ledger.attempts()}
     for name in dataset.ids():
         yield verify_episode(dataset, name, noted.get(name), replayer, audited=audited)
+
+
+def _wrong_observations(dataset: DemonstrationDataset, episode: Episode) -> list[Finding]:
+    path = dataset.path / OBSERVATIONS / f"{episode.id}{SUFFIX}"
+    try:
+        read_observations(path, of=episode)
+    except FileNotFoundError:
+        return []
+    except DamagedFileError as error:
+        return [Finding(path, error.reason)]
+    except ValueError:
+        return [Finding(path, "it was rendered from another recording")]
+    return []
 
 
 def _wrong_values(episode: Episode) -> Iterator[str]:

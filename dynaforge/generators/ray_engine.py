@@ -85,6 +85,7 @@ def _result(ray: Any, actor: Any, condition: Condition, reference: Any, name: st
             result: Result = ray.get(reference, timeout=TIMEOUT)
             return result
         except ray.exceptions.GetTimeoutError:
+            ray.kill(actor, no_restart=False)  # it is still at it, and would keep all that follows waiting
             return lost(condition, name, f"worker lost: it ran for {TIMEOUT:g} s")
         except ray.exceptions.RayError as error:
             fell = fell or time.monotonic()

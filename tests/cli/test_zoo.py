@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import os
 import subprocess
 import sys
@@ -12,7 +13,9 @@ from typing import Any
 import pytest
 import yaml
 
+from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import zoo
+from dynaforge.cli.main import main
 
 
 def run(*arguments: str) -> str:
@@ -26,7 +29,7 @@ def run(*arguments: str) -> str:
 
 @pytest.mark.parametrize("arguments", [[], ["trian", "--algo", "ppo"], ["--algo", "ppo"]])
 def test_anything_but_train_and_enjoy_is_refused(arguments: list[str]) -> None:
-    assert "expected 'train' or 'enjoy'" in run(*arguments)
+    assert "expected 'train', 'enjoy' or 'record_video'" in run(*arguments)
 
 
 def test_unknown_names_are_refused_with_the_closest_match() -> None:
@@ -43,8 +46,9 @@ def test_training_on_from_a_checkpoint_needs_trust(flags: list[str]) -> None:
     assert "a.zip can run code" in run("train", "--algo", "ppo", *flags)
 
 
-def test_enjoy_needs_trust() -> None:
-    assert "--trusted" in run("enjoy", "--algo", "ppo")
+@pytest.mark.parametrize("script", ["enjoy", "record_video"])
+def test_playing_a_checkpoint_needs_trust(script: str) -> None:
+    assert "--trusted" in run(script, "--algo", "ppo")
 
 
 def test_a_missing_zoo_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,33 +165,60 @@ def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -
     assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([3e-3, 1.5e-3, 0.0])
 
 
-def train_and_enjoy(folder: Path, *, train: list[str], enjoy: list[str]) -> tuple[str, str]:
-    """Run both scripts in processes of their own, as a user does."""
-    spoken = []
-    for arguments in (["train", *train, "--num-threads", "1"], ["enjoy", *enjoy, "--no-render", "--trusted"]):
-        done = subprocess.run(
-            [sys.executable, "-m", "dynaforge.zoo", *arguments, "-f", "logs", "--device", "cpu"],
-            cwd=folder,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=100,
-        )
-        assert done.returncode == 0, done.stderr
-        spoken.append(done.stdout)
-    return spoken[0], spoken[1]
+def zoo_process(folder: Path, *arguments: str) -> str:
+    """Run a script in a process of its own, as a user does, and return what it printed."""
+    done = subprocess.run(
+        [sys.executable, "-m", "dynaforge.zoo", *arguments],
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=400,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_zoo_trains_saves_and_replays_frontier_grpo(tmp_path: Path) -> None:
-    which = ["--algo", "frontier_grpo", "--env", "CartPole-v1"]
+    which = ["--algo", "frontier_grpo", "--env", "CartPole-v1", "-f", "logs", "--device", "cpu"]
     small = ["-params", "n_envs:2", "n_groups:2", "group_size:2", "group_filter:'mixed_return'"]
-    trained, enjoyed = train_and_enjoy(
-        tmp_path, train=[*which, "-n", "150", "--seed", "1", *small], enjoy=[*which, "-n", "600"]
-    )
+    trained = zoo_process(tmp_path, "train", *which, "-n", "150", "--seed", "1", "--num-threads", "1", *small)
+    enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "600", "--no-render", "--trusted")
     assert "zoo_configs/frontier_grpo.yml" in trained
     run_folder = tmp_path / "logs" / "frontier_grpo" / "CartPole-v1_1"
     assert (run_folder / "CartPole-v1.zip").is_file()
     assert (run_folder / "CartPole-v1" / "config.yml").is_file()
     assert "Loading" in enjoyed
     assert "Episode" in enjoyed
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("algo", ["frontier_grpo", "ppo"])
+def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
+    """Train with evaluation, go on, film, search; and the policy that training leaves is one that `evaluate` takes."""
+    which = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "--device", "cpu"]
+    sizes = ["n_groups:4", "group_size:2"] if algo == "frontier_grpo" else ["n_steps:16"]
+    small = ["--num-threads", "1", "--eval-episodes", "1", "-params", "n_envs:4", *sizes]
+    trained = zoo_process(tmp_path, "train", *which, "-n", "64", "--eval-freq", "8", *small)
+    first, second = (tmp_path / "logs" / algo / f"DynaForge-Can-v0_{k}" for k in (1, 2))
+    policy = first / "policy.safetensors"
+    assert f"--policy {policy.relative_to(tmp_path)}" in trained
+    assert MlpPolicyFile.load(policy, task="can").meta["algo"] == algo
+    assert (first / "evaluations.npz").is_file()
+    measured = tmp_path / "measured.json"
+    asked = ["--task", "can", "--generator", "residual", "--seeds", "1", "--attempts", "2", "--out", str(measured)]
+    assert main(["evaluate", *asked, "--policy", str(policy)]) == 0
+    assert len(json.loads(measured.read_text())["conditions"]) == 2
+
+    agent = str(first / "DynaForge-Can-v0.zip")
+    zoo_process(tmp_path, "train", *which, "-n", "64", "-i", agent, "--trusted", "--eval-freq", "-1", *small)
+    assert (second / "policy.safetensors").read_bytes() != policy.read_bytes()
+
+    filmed = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "-n", "12", "-o", "films"]
+    zoo_process(tmp_path, "record_video", *filmed, "--trusted")
+    assert [path.stat().st_size > 1000 for path in (tmp_path / "films").glob("*.mp4")] == [True]
+
+    search = ["-optimize", "--n-trials", "1", "--n-evaluations", "1", "--n-jobs", "1", "-n", "64"]
+    assert "Number of finished trials" in zoo_process(tmp_path, "train", *which, *search, *small)

@@ -70,8 +70,8 @@ def test_kill_between_file_and_ledger_is_mended_on_reopening(tmp_path):
     data = DemonstrationDataset(tmp_path, task="can")
     data.add(make_episode(0))
     data.ledger.path.unlink()
-    assert DemonstrationDataset(tmp_path).attempts() == [Attempt.of(make_episode(0))]
-    assert DemonstrationDataset(tmp_path, task="can").ledger.attempts() == [Attempt.of(make_episode(0))]
+    assert DemonstrationDataset(tmp_path).attempts() == [Attempt.of(make_episode(0), recorded=True)]
+    assert DemonstrationDataset(tmp_path, task="can").ledger.attempts() == [Attempt.of(make_episode(0), recorded=True)]
 
 
 def test_two_writers_share_a_folder(tmp_path):

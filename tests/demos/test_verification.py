@@ -13,17 +13,35 @@ from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset, Episode, write_episode
+from dynaforge.demos.observations import write_observations
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
 
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> DemonstrationDataset:
-    made = DemonstrationDataset(tmp_path / "data", task="can")
+    """Four successes, a failure that was kept and one that was not."""
+    made = DemonstrationDataset(tmp_path / "data", task="can", keep_failures=True)
     for seed in range(4):
         made.add(make_episode(seed))
+    made.add(make_episode(8, success=False))
+    made.keep_failures = False
     made.add(make_episode(9, success=False))
     return made
+
+
+@pytest.fixture
+def pictured(dataset: DemonstrationDataset) -> DemonstrationDataset:
+    (dataset.path / "observations").mkdir()
+    (dataset.path / "observations" / "settings.json").write_text("{}")
+    for episode in dataset:
+        draw(dataset, episode)
+    return dataset
+
+
+def draw(dataset: DemonstrationDataset, episode: Episode) -> None:
+    pictures = {"front/rgb": np.zeros((len(episode), 4, 4, 3), np.uint8)}
+    write_observations(dataset.path / "observations" / f"{episode.id}.h5", episode, pictures, ["can"])
 
 
 def problems(dataset: DemonstrationDataset) -> dict[str, list[str]]:
@@ -74,10 +92,13 @@ CORRUPTIONS = (flip, cut, lose, duplicate, replace_by_another, put_something_els
 def corrupt_and_find(dataset: DemonstrationDataset, trials: int) -> None:
     rng = np.random.default_rng(0)
     assert not problems(dataset)
-    whole = {path: path.read_bytes() for path in (dataset.path / "episodes").iterdir()}
+    folders = (dataset.path / "episodes", dataset.path / "observations")
+    whole = {path: path.read_bytes() for folder in folders for path in folder.glob("*.h5")}
+    needed = {path for path in whole if path.parent == folders[0]}
     for trial in range(trials):
         corrupt: Callable[[Path, np.random.Generator], Path] = CORRUPTIONS[trial % len(CORRUPTIONS)]
-        harmed = corrupt(list(whole)[int(rng.integers(len(whole)))], rng)
+        among = list(needed if corrupt is lose else whole)  # pictures can be rendered again: they may be missing
+        harmed = corrupt(among[int(rng.integers(len(among)))], rng)
         assert harmed.name in problems(dataset), (trial, corrupt.__name__)
         if harmed not in whole:
             harmed.unlink()
@@ -87,13 +108,13 @@ def corrupt_and_find(dataset: DemonstrationDataset, trials: int) -> None:
     assert not problems(dataset)
 
 
-def test_every_corruption_of_a_file_is_found(dataset: DemonstrationDataset) -> None:
-    corrupt_and_find(dataset, 120)
+def test_every_corruption_of_a_file_is_found(pictured: DemonstrationDataset) -> None:
+    corrupt_and_find(pictured, 120)
 
 
 @pytest.mark.slow
-def test_a_thousand_corruptions_are_found(dataset: DemonstrationDataset) -> None:
-    corrupt_and_find(dataset, 1000)
+def test_a_thousand_corruptions_are_found(pictured: DemonstrationDataset) -> None:
+    corrupt_and_find(pictured, 1000)
 
 
 def test_every_flipped_bit_of_the_ledger_is_found(dataset: DemonstrationDataset) -> None:
@@ -103,6 +124,32 @@ def test_every_flipped_bit_of_the_ledger_is_found(dataset: DemonstrationDataset)
         flip(ledger, rng)
         assert problems(dataset)
         ledger.write_bytes(whole)
+
+
+def test_what_a_ledger_lacks_is_found_by_the_recordings(dataset: DemonstrationDataset) -> None:
+    whole = dataset.ledger.path.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    for left in ([], lines[:2], lines[1:]):
+        dataset.ledger.path.write_bytes(b"".join(left))
+        lost = [problem for problem in problems(dataset)["ledger.jsonl"] if problem.startswith("no line tells of")]
+        assert len(lost) == len([line for line in lines if line not in left and b'"recorded": true' in line])
+    dataset.ledger.path.unlink()
+    assert len(problems(dataset)["ledger.jsonl"]) == 5
+
+
+def test_notes_on_policies_and_pictures_are_read(pictured: DemonstrationDataset) -> None:
+    for name in ("generators.json", "observations/settings.json"):
+        (pictured.path / name).write_text("{")
+        assert set(problems(pictured)) == {Path(name).name}
+        (pictured.path / name).write_text("{}")
+    assert not problems(pictured)
+
+
+def test_pictures_of_another_recording_are_told(pictured: DemonstrationDataset) -> None:
+    other = make_episode(0)
+    steps = dict(other.steps) | {"q": other.steps["q"] + 1e-9}
+    draw(pictured, replace(other, steps=steps))
+    assert problems(pictured) == {f"{other.id}.h5": ["it was rendered from another recording"]}
 
 
 @pytest.mark.parametrize(
@@ -138,7 +185,7 @@ def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationD
 
 def test_verify_ends_with_0_or_1(dataset: DemonstrationDataset, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(dataset.path)]) == 0
-    assert "4 episodes read, 5 attempts in the ledger: no problems" in capsys.readouterr().out
+    assert "5 episodes read, 6 attempts in the ledger: no problems" in capsys.readouterr().out
     flip(dataset.file_of(dataset.ids()[0]), np.random.default_rng(3))
     assert main(["verify", str(dataset.path)]) == 1
     assert dataset.ids()[0] in capsys.readouterr().out
