@@ -22,7 +22,11 @@ from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_
 from dynaforge.geometry import Array
 
 PLANNER = "planner_only"
-COLUMNS = ("seeds", "DGR %", "std", "against", "95 %", "opt. steps", "steps to", "used", "sim", "opt.", "wall")
+COLUMNS = (
+    "seeds", "DGR %", "std", "against", "95 %", "opt. steps", "steps to", "greedy", "used", "sim", "opt.", "wall sim",
+    "wall opt.",
+)  # fmt: skip
+LATE = 5  # probes at the end of a run, whose mean says where it ends
 VANILLA = "grpo"
 
 
@@ -89,11 +93,12 @@ class ArmSummary:
         rates: DGR of each training seed.
         optimizer_steps: Made in a run.
         transitions_used: Gated transitions of the kept groups of a run.
-        collect_cpu, optimize_cpu: Seconds of a run.
-        wall: Seconds of a run, on the one core it has.
+        collect_cpu, optimize_cpu, collect_wall, optimize_wall: Seconds of a run, on the one core it has.
         groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
         steps_to_vanilla: Environment steps until the trailing success in training, mean over seeds, first was what
             vanilla GRPO's is at its end; infinite where it never was.
+        greedy_steps_to_vanilla: The same without exploration: until the mean of three probes was that of vanilla's
+            last five; NaN without probes.
         lost_again: Share of strata won without exploration in two probes running and lost in the last two.
     """
 
@@ -102,9 +107,11 @@ class ArmSummary:
     transitions_used: float
     collect_cpu: float
     optimize_cpu: float
-    wall: float
+    collect_wall: float
+    optimize_wall: float
     groups: tuple[float, ...]
     steps_to_vanilla: float
+    greedy_steps_to_vanilla: float
     lost_again: float
 
 
@@ -207,9 +214,11 @@ class Comparison:
             transitions_used=mean(h.transitions_used[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
             optimize_cpu=mean(sum(h.optimize_cpu) for h in histories),
-            wall=mean(h.wall_seconds for h in histories),
+            collect_wall=mean(sum(h.collect_wall) for h in histories),
+            optimize_wall=mean(sum(h.optimize_wall) for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
             steps_to_vanilla=self._steps_to_vanilla(task, arm),
+            greedy_steps_to_vanilla=self._greedy_steps_to_vanilla(task, arm),
             lost_again=mean(_lost_again(p) for p in probes),
         )
 
@@ -219,6 +228,15 @@ class Comparison:
         level = self.frontier(task, self.reference).overall_trailing[-1]
         reached = np.flatnonzero(self.frontier(task, arm).overall_trailing >= level)
         return float(self.steps(task, arm)[reached[0]]) if len(reached) else math.inf
+
+    def _greedy_steps_to_vanilla(self, task: str, arm: str) -> float:
+        if not self.of(task, self.reference):
+            return math.nan
+        level, (steps, success) = self.probes(task, self.reference)[1][-LATE:], self.probes(task, arm)
+        if not len(level) or len(success) < 3:
+            return math.nan
+        reached = np.flatnonzero(np.convolve(success, np.ones(3) / 3, "valid") >= level.mean() - 1e-9)
+        return float(steps[reached[0] + 2]) if len(reached) else math.inf
 
     def table(self) -> str:
         """Return all of it as plain text: a row an arm and task, then the means over the tasks."""
@@ -236,7 +254,7 @@ class Comparison:
             shared = self.complete_tasks(arm)
             if len(shared) > 1:
                 grid.add_row(f"mean of {len(shared)}", arm, *self.cells(arm, shared))
-        console = Console(file=io.StringIO(), width=160, color_system=None, force_terminal=False)
+        console = Console(file=io.StringIO(), width=180, color_system=None, force_terminal=False)
         with console.capture() as capture:
             console.print(grid)
         rows = "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
@@ -249,8 +267,9 @@ class Comparison:
             f"DGR of the final policy without exploration on {exam['blocks']} x {exam['attempts']} conditions of "
             f"{exam['stream']}, mean and std over training seeds;\nagainst {self.reference} in points, 95 % bootstrap "
             f"over training seeds and conditions; optimizer steps and environment steps to {self.reference}'s\nfinal "
-            "success in training, both as a ratio to it ('-': not reached); of a run: thousands of "
-            "transitions\nin kept groups, CPU minutes of simulation and of optimisation, wall minutes on one core."
+            "success in training, and in probes without exploration, as ratios to it ('-': not reached); of a run: "
+            "thousands of\ntransitions in kept groups, minutes of simulation and of optimisation, CPU and wall, on one "
+            "core."
         )
 
     def cells(self, arm: str, tasks: Sequence[str]) -> list[str]:
@@ -261,21 +280,23 @@ class Comparison:
         over_seeds = [mean(s.rates[k] for s in mine) for k in range(seeds)]
         cells = [str(seeds), f"{100 * rate:.1f}", f"{100 * stdev(over_seeds):.1f}" if seeds > 1 else "-"]
         if arm == self.reference or not all(self.of(task, self.reference) for task in tasks):
-            compared = ["-"] * 4
+            compared = ["-"] * 5
         else:
             theirs = [self.summary(task, self.reference) for task in tasks]
             found = self.difference(arm, tasks)
             low, high = found.interval
-            reached = mean(a.steps_to_vanilla / b.steps_to_vanilla for a, b in zip(mine, theirs, strict=True))
-            updates = mean(a.optimizer_steps / b.optimizer_steps for a, b in zip(mine, theirs, strict=True))
+            ratios = (
+                mean(getattr(a, name) / getattr(b, name) for a, b in zip(mine, theirs, strict=True))
+                for name in ("optimizer_steps", "steps_to_vanilla", "greedy_steps_to_vanilla")
+            )
             compared = [
-                f"{100 * found.difference:+.1f}", f"{100 * low:+.1f} to {100 * high:+.1f}", f"{updates:.2f} x",
-                f"{reached:.2f} x" if math.isfinite(reached) else "-",
+                f"{100 * found.difference:+.1f}", f"{100 * low:+.1f} to {100 * high:+.1f}",
+                *(f"{ratio:.2f} x" if math.isfinite(ratio) else "-" for ratio in ratios),
             ]  # fmt: skip
-        used, simulation, optimisation, wall = (
-            mean(getattr(s, name) for s in mine) for name in ("transitions_used", "collect_cpu", "optimize_cpu", "wall")
-        )
-        costs = [f"{used / 1000:.1f}", f"{simulation / 60:.1f}", f"{optimisation / 60:.2f}", f"{wall / 60:.1f}"]
+        costs = [f"{mean(s.transitions_used for s in mine) / 1000:.1f}"]
+        for name in ("collect_cpu", "optimize_cpu", "collect_wall", "optimize_wall"):
+            minutes = mean(getattr(s, name) for s in mine) / 60
+            costs.append(f"{minutes:.2f}" if name.startswith("optimize") else f"{minutes:.1f}")
         return [*cells, *compared, *costs]
 
     def _histories(self, task: str, arm: str) -> list[TrainingHistory]:

@@ -67,11 +67,6 @@ class TrainingHistory:
         """Mean over the strata that had trials, of each update, shape (U,)."""
         return self.frontier().overall
 
-    @property
-    def wall_seconds(self) -> float:
-        """Collection and optimisation, without probes."""
-        return sum(self.collect_wall) + sum(self.optimize_wall)
-
     def frontier(self) -> FrontierAnalysis:
         """Analyse how deep the mastered strata reach."""
         return analyse_frontier(self.successes, np.array(self.trials))

@@ -62,11 +62,22 @@ def test_the_figures_of_an_arm() -> None:
     assert summary.optimizer_steps == 10
     assert summary.collect_cpu == 240.0
     assert summary.transitions_used == 40
-    assert summary.wall == 8.0
+    assert (summary.collect_wall, summary.optimize_wall) == (4.0, 4.0)
     assert summary.groups == (0.25, 0.5, 0.25)
     # Vanilla ends at a trailing mean of (0 + .2 + .4 + .4) / 4 = .25, which the fast run has after its first update.
     assert summary.steps_to_vanilla == 100.0
     assert RUNS.summary("can", "grpo").steps_to_vanilla == 400.0
+
+
+def test_steps_to_vanilla_without_exploration_are_those_of_three_probes() -> None:
+    """Vanilla's last five probes win 1 of 2 on average; the other arm's first three do."""
+    vanilla = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0], [1, 0], [1, 0], [1, 0], [1, 0], [1, 0]])
+    faster = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0], [1, 0], [1, 1], [1, 0], [1, 1], [1, 1]])
+    never = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0]] * 6)
+    runs = [run("can", arm, 0, 5, trained) for arm, trained in (("grpo", vanilla), ("x", faster), ("y", never))]
+    comparison = Comparison(tuple(runs))
+    greedy = [comparison.summary("can", arm).greedy_steps_to_vanilla for arm in ("grpo", "x", "y")]
+    assert greedy == [300.0, 200.0, float("inf")]
 
 
 def test_the_table_holds_every_arm_and_the_ratios() -> None:
