@@ -14,7 +14,8 @@ from dynaforge.evaluation import DgrReport
 from dynaforge.tasks import Task
 
 PARTS = 16  # of a condition's range
-ACTIONS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
+ACTIONS = ("x", "y", "z", "quat w", "quat x", "quat y", "quat z", "width")
+RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
         report = DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=name)
         print(f"\n{report.table()}\n{_wall(made)}")
     if episodes:
-        print(f"\n{lengths(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
+        print(f"\n{lengths(episodes)}\n{actions(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
     return 0
 
 
@@ -47,6 +48,19 @@ def lengths(episodes: Sequence[Episode]) -> str:
         f"length: {np.median(steps):.0f} control steps ({min(steps)} to {max(steps)}), "
         f"{np.median(seconds):.1f} s ({min(seconds):.1f} to {max(seconds):.1f}); {sum(steps)} steps in all"
     )
+
+
+def actions(episodes: Sequence[Episode]) -> str:
+    """Say between what limits the targets lay that the controller was given."""
+    given = [e.steps["projected_action"] for e in episodes if "projected_action" in e.steps]
+    if not given:
+        return "actions: none recorded"
+    rows = np.concatenate(given)
+    lines = [
+        f"  {name:<11} {low:+.3f} to {high:+.3f}"
+        for name, low, high in zip(ACTIONS, rows.min(axis=0), rows.max(axis=0), strict=False)
+    ]
+    return "actions, target pose in the base frame and width (m):\n" + "\n".join(lines)
 
 
 def residuals(episodes: Sequence[Episode]) -> str:
@@ -61,7 +75,7 @@ def residuals(episodes: Sequence[Episode]) -> str:
     rows = np.concatenate(gated)
     low, middle, high = np.quantile(rows, (0.01, 0.5, 0.99), axis=0)
     lines = [
-        f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(ACTIONS, low, middle, high, strict=False)
+        f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(RESIDUALS, low, middle, high, strict=False)
     ]
     return "residual while gated (m, rad, m), 1 %, 50 % and 99 % quantile:\n" + "\n".join(lines)
 

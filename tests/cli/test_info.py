@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dynaforge.cli.main import main
@@ -20,6 +21,8 @@ def test_info_tells_of_rates_lengths_residuals_and_size(tmp_path: Path, capsys: 
         assert reason in printed
     steps = sum(len(episode) for episode in dataset)
     assert f"{steps} steps in all" in printed
+    width = np.concatenate([e.steps["projected_action"][:, 7] for e in dataset])
+    assert f"  width       {width.min():+.3f} to {width.max():+.3f}" in printed
     speeds = [line for line in printed.splitlines() if line.startswith("  speed ")]
     assert speeds[0].endswith(f"{len({int((e.condition.difficulty - 0.05) / 1.45 * 16) for e in dataset})} of 16 parts")
     assert "width       +0.000 +0.000 +0.000" in printed, "the planner alone has no residual"
