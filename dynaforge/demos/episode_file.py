@@ -1,8 +1,8 @@
 """One immutable HDF5 file an episode: every flipped bit and every lost tail is noticed on reading.
 
 The file begins with a 512-byte HDF5 user block: one text line with the SHA-256 and the length of all bytes that
-follow. Any HDF5 reader skips it. Root attributes: `header` (JSON) and `content_hash`; one table `steps`, a row a
-control step and a column a quantity: `file["steps"]["q"]`. Its 22 columns take a third of the time of 22 datasets.
+follow. Any HDF5 reader skips it. In the file: the root attribute `header` (JSON) and one table `steps`, a row a control
+step and a column a quantity: `file["steps"]["q"]`. Its 22 columns take a third of the time of 22 datasets.
 """
 
 from __future__ import annotations
@@ -28,9 +28,12 @@ _MAGIC = b"DYNAFORGE-EPISODE"
 _IN_MEMORY = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
 _IN_MEMORY.set_fapl_core(1 << 16, False)
 _IN_MEMORY.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
-_UNFILLED = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # no fill values before the data; no times, so equal bytes
-_UNFILLED.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-_UNFILLED.set_obj_track_times(False)
+_LAID_OUT = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # place for the data at once, nothing in it; no times: equal bytes
+_LAID_OUT.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+_LAID_OUT.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+_LAID_OUT.set_obj_track_times(False)
+_TEXT = h5py.string_dtype()
+_TEXT_TYPE = h5py.h5t.py_create(_TEXT, logical=True)
 
 
 class DamagedFileError(ValueError):
@@ -64,13 +67,9 @@ def read_episode(path: str | Path) -> Episode:
     data = Path(path).read_bytes()
     check_seal(path, data)
     try:
-        header, steps, content_hash = _decode(data)
-        episode = Episode.from_header(header, steps)
+        return Episode.from_header(*_decode(data))
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         raise DamagedFileError(path, f"its content is no episode ({error})") from error
-    if episode.content_hash() != content_hash:
-        raise DamagedFileError(path, "header and arrays do not match the content hash")
-    return episode
 
 
 def write_sealed(path: str | Path, body: bytes) -> None:
@@ -97,38 +96,53 @@ def check_seal(path: str | Path, data: bytes) -> None:
 
 
 def _encode(episode: Episode) -> bytes:
-    # In memory: a full disk is then met by one plain write and not inside the HDF5 library.
-    with h5py.File(h5py.h5f.create(b"episode", fapl=_IN_MEMORY)) as file:
-        file.attrs["header"] = json.dumps(episode.header(), sort_keys=True)
-        file.attrs["content_hash"] = episode.content_hash()
-        if episode.steps:
-            _create_table(file, episode)
-        file.flush()
-        return bytes(file.id.get_file_image())
+    """Return the HDF5 file.
+
+    In memory: a full disk is then met by one plain write and not inside the HDF5 library. By the library's low-level
+    calls, and the table put in its place by hand: a fifth of the time that `h5py.File` and `create_dataset` take.
+    """
+    table = _table(episode)
+    file = h5py.h5f.create(b"episode", fapl=_IN_MEMORY)
+    try:
+        _write_header(file, json.dumps(episode.header(), sort_keys=True))
+        if table is None:
+            h5py.h5f.flush(file)
+            return bytes(file.get_file_image())
+        space = h5py.h5s.create_simple(table.shape)
+        steps = h5py.h5d.create(file, b"steps", _hdf5_type(table.dtype), space, dcpl=_LAID_OUT)
+        h5py.h5f.flush(file)
+        content, start = bytearray(file.get_file_image()), steps.get_offset()
+    finally:
+        file.close()
+    content[start : start + table.nbytes] = table.tobytes()
+    return bytes(content)
 
 
-def _create_table(file: h5py.File, episode: Episode) -> None:
-    """Do what `file.create_dataset("steps", data=table)` does in a third of its time."""
-    columns = tuple((name, array.dtype.str, array.shape[1:]) for name, array in episode.steps.items())
-    kind = _table_type(columns)
-    table = np.empty(len(episode), np.dtype(list(columns)))
+def _write_header(file: Any, text: str) -> None:
+    attribute = h5py.h5a.create(file, b"header", _TEXT_TYPE, h5py.h5s.create(h5py.h5s.SCALAR))
+    attribute.write(np.array(text, dtype=_TEXT))
+
+
+def _table(episode: Episode) -> NDArray[Any] | None:
+    """Put the arrays side by side, a row a control step."""
+    if not episode.steps:
+        return None
+    columns = [(name, array.dtype.str, array.shape[1:]) for name, array in episode.steps.items()]
+    table = np.empty(len(episode), columns)
     for name, array in episode.steps.items():
         table[name] = array
-    space = h5py.h5s.create_simple(table.shape)
-    created = h5py.h5d.create(file.id, b"steps", kind, space, dcpl=_UNFILLED)
-    created.write(h5py.h5s.ALL, h5py.h5s.ALL, table, mtype=kind)
+    return table
 
 
 @lru_cache(maxsize=64)  # a collector meets one
-def _table_type(columns: tuple[tuple[str, str, tuple[int, ...]], ...]) -> Any:
-    return h5py.h5t.py_create(np.dtype(list(columns)), logical=True)
+def _hdf5_type(dtype: np.dtype[Any]) -> Any:
+    return h5py.h5t.py_create(dtype, logical=True)
 
 
-def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]], str]:
+def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     with h5py.File(io.BytesIO(data), "r") as file:
         steps = file["steps"][()] if "steps" in file else np.empty(0, [])
-        arrays = {name: steps[name] for name in steps.dtype.names or ()}
-        return json.loads(file.attrs["header"]), arrays, str(file.attrs["content_hash"])
+        return json.loads(file.attrs["header"]), {name: steps[name] for name in steps.dtype.names or ()}
 
 
 def read_arrays(group: Any) -> dict[str, NDArray[Any]]:

@@ -56,9 +56,7 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
         "residual_action": Field(("R",), "float64", "m, rad, m", "world", "m * scale * a_res as applied."),
         "requested_action": Field(("A",), "float64", "m, -, m", "base", "a_plan + m * scale * residual, Eq. 5."),
         "projected_action": Field(("A",), "float64", "m, -, m", "base", "What the limits left of the request, Eq. 5."),
-        "joint_reference": Field(
-            (7,), "float64", "rad", "-", "projected_action in joint form, as commanded."
-        ),
+        "joint_reference": Field((7,), "float64", "rad", "-", "projected_action in joint form, as commanded."),
         "joint_velocity_reference": Field((7,), "float64", "rad/s", "-", "Joint velocities fed forward with them."),
         "width_reference": Field((), "float64", "m", "-", "Gripper width commanded."),
         "left_contact": Field((), "bool", "-", "-", "The left finger touches the manipulated object."),
