@@ -16,6 +16,7 @@ import yaml
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import zoo
 from dynaforge.cli.main import main
+from dynaforge.cli.runs import arms
 
 
 def run(*arguments: str) -> str:
@@ -143,13 +144,15 @@ def test_every_configured_option_exists(algo: str) -> None:
         assert options["policy"] in ALGOS[algo].policy_aliases
 
 
-def test_vanilla_differs_from_frontier_by_strata_and_filter_alone() -> None:
+def test_vanilla_differs_from_the_papers_frontier_grpo_by_strata_and_filter_alone() -> None:
     folder = files("dynaforge.zoo_configs")
     frontier, vanilla = (yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in zoo.ALGORITHMS)
     assert frontier.keys() == vanilla.keys()
     for env_id in frontier:
+        frontier[env_id].pop("scale_learning_rate", None)
         wanted = frontier[env_id] | {"group_filter": "none", "stratified": False}
         assert vanilla[env_id] == wanted
+    assert arms()["frontier_grpo"] == {"config": "frontier_grpo", "scale_learning_rate": None}
 
 
 def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -> None:
