@@ -183,17 +183,14 @@ def zoo_process(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-def test_zoo_trains_saves_and_replays_frontier_grpo(tmp_path: Path) -> None:
+def test_zoo_trains_and_saves_frontier_grpo(tmp_path: Path) -> None:
     which = ["--algo", "frontier_grpo", "--env", "CartPole-v1", "-f", "logs", "--device", "cpu"]
     small = ["-params", "n_envs:2", "n_groups:2", "group_size:2", "group_filter:'mixed_return'"]
     trained = zoo_process(tmp_path, "train", *which, "-n", "150", "--seed", "1", "--num-threads", "1", *small)
-    enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "600", "--no-render", "--trusted")
     assert "zoo_configs/frontier_grpo.yml" in trained
     run_folder = tmp_path / "logs" / "frontier_grpo" / "CartPole-v1_1"
     assert (run_folder / "CartPole-v1.zip").is_file()
     assert (run_folder / "CartPole-v1" / "config.yml").is_file()
-    assert "Loading" in enjoyed
-    assert "Episode" in enjoyed
 
 
 @pytest.mark.slow
@@ -218,6 +215,10 @@ def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     agent = str(first / "DynaForge-Can-v0.zip")
     zoo_process(tmp_path, "train", *which, "-n", "64", "-i", agent, "--trusted", "--eval-freq", "-1", *small)
     assert (second / "policy.safetensors").read_bytes() != policy.read_bytes()
+
+    enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "12", "--no-render", "--trusted")
+    assert "Loading" in enjoyed
+    assert "Episode" in enjoyed
 
     filmed = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "-n", "12", "-o", "films"]
     zoo_process(tmp_path, "record_video", *filmed, "--trusted")
