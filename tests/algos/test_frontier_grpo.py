@@ -34,7 +34,9 @@ def success_rate(model, n: int = 200) -> float:
     return wins / n
 
 
-@pytest.mark.parametrize("variant", [{}, {"group_filter": "none", "stratified": False}])
+@pytest.mark.parametrize(
+    "variant", [{}, pytest.param({"group_filter": "none", "stratified": False}, marks=pytest.mark.slow)]
+)
 def test_a_toy_is_learned(variant):
     model = FrontierGRPO(
         "MlpPolicy",

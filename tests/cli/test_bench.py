@@ -260,6 +260,7 @@ def test_a_killed_worker_is_reported_with_its_name_and_leaves_nothing_behind():
     assert "condition" in figure.raw["kills"][0]["error"]
 
 
+@pytest.mark.slow
 def test_the_trainer_is_measured_against_ppo_on_equal_transitions() -> None:
     (figure,) = bench_training.trainer(CAN, rounds=1)
     seconds = figure.raw["cpu_seconds"]
