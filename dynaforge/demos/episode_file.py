@@ -143,15 +143,3 @@ def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     with h5py.File(io.BytesIO(data), "r") as file:
         steps = file["steps"][()] if "steps" in file else np.empty(0, [])
         return json.loads(file.attrs["header"]), {name: steps[name] for name in steps.dtype.names or ()}
-
-
-def read_arrays(group: Any) -> dict[str, NDArray[Any]]:
-    """Read every dataset below an HDF5 group, by its path there."""
-    arrays: dict[str, NDArray[Any]] = {}
-
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            arrays[name] = np.asarray(item[()])
-
-    group.visititems(collect)
-    return arrays

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, read_arrays, write_sealed
+from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, write_sealed
 from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
@@ -199,13 +199,25 @@ def read_observations(path: Path, *, of: Episode | None = None) -> dict[str, NDA
     check_seal(path, data)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            arrays, rendered = read_arrays(file), str(file.attrs["content_hash"])
+            arrays, rendered = _read_arrays(file), str(file.attrs["content_hash"])
     except (OSError, KeyError, RuntimeError) as error:
         raise DamagedFileError(path, f"its content cannot be read ({error})") from error
     if of is not None and of.content_hash() != rendered:
         raise ValueError(
             f"{path} was rendered from another recording than episode {of.id}; remove it and render again."
         )
+    return arrays
+
+
+def _read_arrays(group: Any) -> dict[str, NDArray[Any]]:
+    """Read every dataset below an HDF5 group, by its path there."""
+    arrays: dict[str, NDArray[Any]] = {}
+
+    def collect(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset):
+            arrays[name] = np.asarray(item[()])
+
+    group.visititems(collect)
     return arrays
 
 

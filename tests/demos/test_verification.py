@@ -94,10 +94,10 @@ def corrupt_and_find(dataset: DemonstrationDataset, trials: int) -> None:
     assert not problems(dataset)
     folders = (dataset.path / "episodes", dataset.path / "observations")
     whole = {path: path.read_bytes() for folder in folders for path in folder.glob("*.h5")}
-    needed = {path for path in whole if path.parent == folders[0]}
+    recordings = [path for path in whole if path.parent == folders[0]]
     for trial in range(trials):
         corrupt: Callable[[Path, np.random.Generator], Path] = CORRUPTIONS[trial % len(CORRUPTIONS)]
-        among = list(needed if corrupt is lose else whole)  # pictures can be rendered again: they may be missing
+        among = recordings if corrupt is lose else list(whole)  # pictures can be rendered again: they may be missing
         harmed = corrupt(among[int(rng.integers(len(among)))], rng)
         assert harmed.name in problems(dataset), (trial, corrupt.__name__)
         if harmed not in whole:
