@@ -16,7 +16,7 @@ demo: $(STAMP) ## From planner to demonstrations on the Can task; ARGS="--budget
 	$(BIN)/dynaforge forge --task can $(ARGS)
 
 test: $(STAMP) ## Run the default test suite (under three minutes on two cores)
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 test-slow: $(STAMP) ## Run the tests that take longer
 	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800 $(ARGS)

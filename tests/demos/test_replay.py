@@ -30,7 +30,7 @@ def recorded(name: str, n: int) -> list[Episode]:
 @pytest.mark.parametrize("name", ENV_NAMES)
 def test_a_replay_gives_the_same_bits_and_the_same_outcome(name: str) -> None:
     replayer = Replayer(get_task(name))
-    for episode in recorded(name, 2):
+    for episode in recorded(name, 3):
         replay = replayer.replay(episode)
         assert replay.divergence is None
         assert replay.success == episode.success

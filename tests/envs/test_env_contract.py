@@ -72,7 +72,16 @@ def episodes(env: gym.Env) -> list[RandomEpisode]:
     """Some episodes by the planner (no residual), gentle and wild."""
     rng = np.random.default_rng(2)
     if isinstance(env.unwrapped, ResidualEnv):
-        chosen = [(4, 0, 0.0), (5, 0, 0.05), (6, 0, 0.1), (4, 1, 0.1), (5, 4, 0.3), (6, 1, 1.0)]
+        chosen = [
+            (4, 0, 0.0),
+            (5, 0, 0.05),
+            (6, 0, 0.1),
+            (4, 1, 0.1),
+            (5, 4, 0.3),
+            (6, 1, 1.0),
+            (7, 3, 1.0),
+            (8, 6, 1.0),
+        ]
     else:
         chosen = [(4, 0, 0.2), (5, 4, 1.0)]
     return [random_episode(env, drawn(env, k, stratum), rng, scale) for k, stratum, scale in chosen]
@@ -233,21 +242,28 @@ def test_wrong_actions_are_named_and_change_nothing(env: gym.Env) -> None:
 
 
 @pytest.mark.parametrize(("name", "kwargs"), VARIANTS, ids=NAMES)
-def test_a_new_env_refuses_to_step_draws_itself_and_closes_twice(name: str, kwargs: dict[str, str]) -> None:
-    env = gym.make(name, render_mode="rgb_array", **kwargs)
-    inner = env.unwrapped
+def test_a_new_env_refuses_to_step_and_closes_twice(name: str, kwargs: dict[str, str]) -> None:
+    env = gym.make(name, **kwargs).unwrapped
     with pytest.raises(RuntimeError, match=r"call env.reset\(\) first"):
-        inner.step(env.action_space.sample())
+        env.step(env.action_space.sample())
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+    env.close()
+
+
+@pytest.mark.parametrize("name", [f"DynaForge/{name}-v0" for name in ENV_NAMES.values()] + ["DynaForge/CanTask-v0"])
+def test_an_env_draws_itself(name: str) -> None:
+    env = gym.make(name, render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
     assert picture.shape == (360, 480, 3)
     assert picture.dtype == np.uint8
     assert picture.std() > 10, "not a blank picture"
     for _ in range(6):
-        inner.step(env.action_space.sample())
-    assert (inner.render() != picture).any()
-    inner.close()
-    inner.close()
+        env.unwrapped.step(env.action_space.sample())
+    assert (env.render() != picture).any()
+    env.close()
 
 
 def test_an_env_without_pictures_draws_none() -> None:
