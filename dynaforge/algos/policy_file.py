@@ -66,10 +66,13 @@ class MlpPolicyFile:
         Raises:
             ValueError: Its policy is not a plain MLP.
         """
-        policy: Any = model.policy
-        net = [*policy.mlp_extractor.policy_net, policy.action_net]
+        from stable_baselines3.common.policies import ActorCriticPolicy
         from torch.nn import Linear
 
+        policy: Any = model.policy
+        if not isinstance(policy, ActorCriticPolicy):
+            raise ValueError(f"Only an MLP policy can be written as a policy file, not {type(policy).__name__}.")
+        net = [*policy.mlp_extractor.policy_net, policy.action_net]
         linear = [m for m in net if isinstance(m, Linear)]
         names = {type(m).__name__ for m in net if not isinstance(m, Linear)}
         if len(names) > 1 or type(policy.features_extractor).__name__ != "FlattenExtractor":

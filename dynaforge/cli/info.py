@@ -10,11 +10,11 @@ import numpy as np
 from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
+from dynaforge.demos.exporters.frames import ACTION_NAMES
 from dynaforge.evaluation import DgrReport
 from dynaforge.tasks import Task
 
 PARTS = 16  # of a condition's range
-ACTIONS = ("x", "y", "z", "quat w", "quat x", "quat y", "quat z", "width")
 RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
@@ -58,7 +58,7 @@ def actions(episodes: Sequence[Episode]) -> str:
     rows = np.concatenate(given)
     lines = [
         f"  {name:<11} {low:+.3f} to {high:+.3f}"
-        for name, low, high in zip(ACTIONS, rows.min(axis=0), rows.max(axis=0), strict=False)
+        for name, low, high in zip(ACTION_NAMES["ee"], rows.min(axis=0), rows.max(axis=0), strict=False)
     ]
     return "actions, target pose in the base frame and width (m):\n" + "\n".join(lines)
 

@@ -195,9 +195,9 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         try:
             if manager.normalize:
                 raise ValueError("A policy file holds no normalisation.")
-            updates = model._n_updates // model.n_epochs
+            updates = model._n_updates // getattr(model, "n_epochs", 1)
             policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
-        except (ValueError, AttributeError) as error:
+        except ValueError as error:
             print(f"No policy.safetensors: {error}")
             return
         path = Path(manager.save_path) / "policy.safetensors"

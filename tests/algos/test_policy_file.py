@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from stable_baselines3 import SAC
 from toy_envs import MatchEnv
 
 from dynaforge.algos import FrontierGRPO
@@ -56,3 +57,9 @@ def test_missing_and_damaged_policy_files_are_named(model: FrontierGRPO, tmp_pat
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(ValueError, match=r"p\.safetensors is no dynaforge policy file"):
         MlpPolicyFile.load(path)
+
+
+def test_only_an_mlp_becomes_a_policy_file() -> None:
+    other = SAC("MlpPolicy", MatchEnv(), buffer_size=1)
+    with pytest.raises(ValueError, match="Only an MLP policy can be written as a policy file, not SACPolicy"):
+        MlpPolicyFile.of(other, task="toy")
