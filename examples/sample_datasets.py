@@ -8,11 +8,14 @@ Any interruption: the same command goes on.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from pathlib import Path
 
 from dynaforge.cli.main import main
 from dynaforge.tasks import TASK_NAMES
+
+INTERRUPTED = 130  # status of a command that was stopped with Ctrl-C
 
 
 def sample(task: str, out: Path, demos: int) -> list[str]:
@@ -27,10 +30,13 @@ def sample(task: str, out: Path, demos: int) -> list[str]:
     )
     problems = []
     for step in steps:
-        if step[0] == "export" and (out / f"{task}-lerobot").exists():
-            continue
+        if step[0] == "export":  # always of all that the folder holds now
+            shutil.rmtree(out / f"{task}-lerobot", ignore_errors=True)
         print(f"\n$ dynaforge {' '.join(step)}", flush=True)
-        if main(step):
+        status = main(step)
+        if status == INTERRUPTED:
+            sys.exit(status)
+        if status:
             problems.append(f"{task}: `dynaforge {step[0]}` reported a problem")
     return problems
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 from tqdm import tqdm
 
 from dynaforge.cli.evaluate import make_generator
-from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
-from dynaforge.demos.dataset import SOURCES
-from dynaforge.generators import Generator, Goal, Source, collect, run_attempts
+from dynaforge.demos import Attempt, DemonstrationDataset
+from dynaforge.generators import Goal, Source, collect, run_attempts
 from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.tasks import TASK_NAMES, get_task
 
@@ -28,7 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--policy", type=Path, help="policy file for the generator residual; default: the shipped one")
     parser.add_argument("--seed", type=int, default=0, help="block of the condition stream: another, other conditions")
     parser.add_argument(
-        "--shard", type=shard, default=(0, 1), metavar="I/N", help="every Nth condition, the I-th first"
+        "--shard",
+        type=shard,
+        default=(0, 1),
+        metavar="I/N",
+        help="every Nth condition, the I-th first; --demos and --attempts are then those of the shard",
     )
     parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
     parser.add_argument("--workers", type=int, help="processes or actors; all cores by default")
@@ -57,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
     generator = make_generator(options.generator, task, options)
     out = options.out or Path("data") / task.name
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
-    _note_policy(out, generator)
+    if policy := getattr(generator, "policy_hash", ""):
+        print(f"policy {policy}: {options.policy or 'the one shipped for this task'}")
     started, found = time.monotonic(), len(dataset.attempts())
     if found:
         print(f"{out} holds {found} attempts; going on")
@@ -90,19 +93,3 @@ def _goal(options: argparse.Namespace) -> Goal:
     if options.demos is None and options.attempts is None:
         return Goal(50, None)
     return Goal(options.demos, options.attempts)
-
-
-def _note_policy(folder: Path, generator: Generator) -> None:
-    """Keep attempts of different policies apart.
-
-    Raises:
-        ValueError: The folder holds attempts of another policy under the same name.
-    """
-    path = folder / SOURCES
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    digest = getattr(generator, "policy_hash", "")
-    if known.setdefault(generator.name, digest) != digest:
-        raise ValueError(
-            f"{folder} holds attempts of policy {known[generator.name]}, not of {digest}. Choose another --out."
-        )
-    atomic_write(path, json.dumps(known, indent=1).encode() + b"\n")

@@ -65,14 +65,16 @@ def run(options: argparse.Namespace) -> int:
     temporary.mkdir(parents=True)
     try:
         n = write(temporary, task, frames())
-        write_card(
+        problem = write_card(
             temporary, task, dataset.attempts(), kept, layout=options.format, licence=options.license, actions=names,
-            command=options.command,
+            command=options.command, observations=observations,
         )  # fmt: skip
         os.replace(temporary, out)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
+    if problem:
+        print(f"no contact sheet: {problem}")
     print(f"{n} demonstrations, {sum(map(len, kept))} steps, {size / 1e6:.1f} MB: {out}")
     return 0
 

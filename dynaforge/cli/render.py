@@ -21,7 +21,6 @@ from dynaforge.demos.observations import (
     ObservationRenderer,
     ObservationSettings,
     standard_cameras,
-    write_observations,
 )
 from dynaforge.envs.processes import single_threaded, worker_context
 from dynaforge.sim.camera import Camera
@@ -109,7 +108,6 @@ def _render(
 def _start(data: Path, observations: Path, task: Task) -> None:
     global _renderer, _dataset, _folder
     _dataset, _folder = DemonstrationDataset(data), ObservationFolder(observations)
-    assert _folder.settings is not None
     _renderer = ObservationRenderer(task, _folder.settings)
 
 
@@ -122,5 +120,5 @@ def _render_one(name: str) -> str:
         arrays = _renderer.render(episode)
     except (ValueError, OSError) as error:
         return str(error)
-    write_observations(_folder.file_of(name), episode, arrays, _renderer.things())  # a full disk ends it all
+    _folder.write(episode, arrays, _renderer.things())  # a full disk ends it all
     return ""

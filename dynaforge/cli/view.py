@@ -80,7 +80,11 @@ def recordings(
                     path.parent.mkdir(parents=True, exist_ok=True)
                     write(path, scene)
                     links[title] = f"{path.parent.name}/{path.name}"
-            yield Shown(episode, filmer.film(episode) if filmer else None, links)
+            try:
+                clip = filmer.film(episode) if filmer else None
+            except ValueError as error:
+                raise ValueError(f"{error} `--no-clips` makes a page of plots.") from error
+            yield Shown(episode, clip, links)
 
 
 def scene_folder(page: Path) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
@@ -13,9 +14,22 @@ from dynaforge.demos.ledger import Attempt, Ledger
 
 FORMAT = "dynaforge-demonstrations"
 _MARKER = "dataset.json"
-SOURCES = "generators.json"  # which policy stands behind each generator's name
+SOURCES = "generators.json"
 _EPISODES = "episodes"
 _LEDGER = "ledger.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What made attempts.
+
+    Attributes:
+        policy: Digest of the policy; "" without one.
+        task_definition: Digest of the task's definition.
+    """
+
+    policy: str
+    task_definition: str
 
 
 class DemonstrationDataset:
@@ -81,8 +95,52 @@ class DemonstrationDataset:
                 found[name] = Attempt.of(self[name], recorded=True)
         return list(found.values())
 
+    def lost(self) -> list[Attempt]:
+        """Return the attempts of the ledger whose recording was kept and is gone."""
+        names = set(self.ids())
+        return [a for a in self.ledger.attempts() if (a.success or a.recorded) and a.id not in names]
+
+    def sources(self) -> dict[str, Provenance]:
+        """Return what stands behind each generator's name, as far as it was noted.
+
+        Raises:
+            DamagedFileError: The file cannot be read.
+        """
+        path = self.path / SOURCES
+        if not path.exists():
+            return {}
+        try:
+            return {str(name): Provenance(**noted) for name, noted in json.loads(path.read_bytes()).items()}
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise DamagedFileError(path, f"it does not say what made the episodes ({error})") from error
+
+    def note_source(self, generator: str, source: Provenance) -> None:
+        """Note what stands behind a generator's name, so that attempts of two policies or task definitions never mix.
+
+        Raises:
+            PermissionError: The dataset was opened for reading only.
+            ValueError: The folder holds attempts of another policy, or with another definition of the task.
+        """
+        self._check(self.task)
+        known = self.sources()
+        held = known.get(generator)
+        if held == source:
+            return
+        if held is None:
+            text = json.dumps({name: asdict(noted) for name, noted in (known | {generator: source}).items()}, indent=1)
+            atomic_write(self.path / SOURCES, text.encode() + b"\n")
+        elif held.policy != source.policy:
+            raise ValueError(
+                f"{self.path} holds attempts of policy {held.policy or 'none'}, not of {source.policy or 'none'}. "
+                "Choose another folder."
+            )
+        else:
+            raise ValueError(
+                f"{self.path} holds attempts with another definition of task {self.task!r}. Choose another folder."
+            )
+
     def dgr(self) -> float:
-        """Return the demonstration generation rate, successes over all attempts; NaN before the first."""
+        """Return the demonstration generation rate, successes over all attempts of all generators; NaN without any."""
         attempts = self.attempts()
         return sum(attempt.success for attempt in attempts) / len(attempts) if attempts else float("nan")
 

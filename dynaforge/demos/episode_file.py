@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,9 @@ _MAGIC = b"DYNAFORGE-EPISODE"
 _IN_MEMORY = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
 _IN_MEMORY.set_fapl_core(1 << 16, False)
 _IN_MEMORY.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
-_LAID_OUT = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # place for the data at once, nothing in it; no times: equal bytes
+_TIMELESS = h5py.h5p.create(h5py.h5p.FILE_CREATE)  # equal episodes, equal bytes
+_TIMELESS.set_obj_track_times(False)
+_LAID_OUT = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # place for the data at once, nothing in it
 _LAID_OUT.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
 _LAID_OUT.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
 _LAID_OUT.set_obj_track_times(False)
@@ -37,15 +39,22 @@ _TEXT_TYPE = h5py.h5t.py_create(_TEXT, logical=True)
 
 
 class DamagedFileError(ValueError):
-    """A file is not what was once written under its name; the message names it."""
+    """A file is not what was once written under its name; the message names it.
 
-    def __init__(self, path: str | Path, reason: str) -> None:
-        super().__init__(f"{path} is damaged: {reason}. Restore it from a copy, or delete it and collect it again.")
+    Args:
+        path: The file.
+        reason: What is wrong with it.
+        again: How it is made again, once deleted.
+    """
+
+    def __init__(self, path: str | Path, reason: str, *, again: str = "collect") -> None:
+        super().__init__(f"{path} is damaged: {reason}. Restore it from a copy, or delete it and {again} again.")
         self.path = Path(path)
         self.reason = reason
+        self.again = again
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return DamagedFileError, (self.path, self.reason)
+        return partial(DamagedFileError, again=self.again), (self.path, self.reason)
 
 
 def write_episode(path: str | Path, episode: Episode) -> None:
@@ -82,7 +91,7 @@ def _seal(body: bytes) -> bytes:
     return line.ljust(_USER_BLOCK, b"\0")
 
 
-def check_seal(path: str | Path, data: bytes) -> None:
+def check_seal(path: str | Path, data: bytes, *, again: str = "collect") -> None:
     """Check every byte of a file against its user block.
 
     Raises:
@@ -90,9 +99,9 @@ def check_seal(path: str | Path, data: bytes) -> None:
     """
     block, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
     if not block.startswith(_MAGIC):
-        raise DamagedFileError(path, "it does not begin as an episode file")
+        raise DamagedFileError(path, "it does not begin as an episode file", again=again)
     if block != _seal(body):
-        raise DamagedFileError(path, "its bytes do not match the hash they were written with")
+        raise DamagedFileError(path, "its bytes do not match the hash they were written with", again=again)
 
 
 def _encode(episode: Episode) -> bytes:
@@ -102,7 +111,7 @@ def _encode(episode: Episode) -> bytes:
     calls, and the table put in its place by hand: a fifth of the time that `h5py.File` and `create_dataset` take.
     """
     table = _table(episode)
-    file = h5py.h5f.create(b"episode", fapl=_IN_MEMORY)
+    file = h5py.h5f.create(b"episode", fcpl=_TIMELESS, fapl=_IN_MEMORY)
     try:
         _write_header(file, json.dumps(episode.header(), sort_keys=True))
         if table is None:

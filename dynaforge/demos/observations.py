@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterator, Mapping
@@ -24,6 +25,7 @@ from dynaforge.tasks import Task
 WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
 FOLDER = "observations"
 SETTINGS = "settings.json"
+AGAIN = "render"  # how a damaged file is made again
 WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
 
 
@@ -67,7 +69,18 @@ class ObservationSettings:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> ObservationSettings:
-        """Read what `to_dict` wrote."""
+        """Read what `to_dict` wrote.
+
+        Raises:
+            ValueError: It is something else.
+        """
+        try:
+            return ObservationSettings._of(data)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"No settings of observations: {error}.") from error
+
+    @staticmethod
+    def _of(data: Mapping[str, Any]) -> ObservationSettings:
         cameras = tuple(
             Camera.from_dict({k: v for k, v in camera.items() if k != "intrinsics"}) for camera in data["cameras"]
         )
@@ -168,12 +181,23 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
     return np.asarray(chosen, dtype=np.int64)
 
 
-def write_observations(path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], things: list[str]) -> None:
-    """Write the observations of an episode, whole or not at all."""
+def write_observations(
+    path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], *, things: list[str], settings: str = ""
+) -> None:
+    """Write the observations of an episode, whole or not at all.
+
+    Args:
+        path: Where.
+        episode: Of which recording.
+        arrays: What `ObservationRenderer.render` returned.
+        things: What the numbers of its segmentations stand for.
+        settings: Digest of the settings file beside it.
+    """
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver="latest") as file:
         file.attrs["episode"] = episode.id
         file.attrs["content_hash"] = episode.content_hash()
+        file.attrs["settings"] = settings
         file.attrs["things"] = json.dumps(things)
         for name, array in arrays.items():
             image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
@@ -183,29 +207,30 @@ def write_observations(path: Path, episode: Episode, arrays: Mapping[str, NDArra
     write_sealed(path, buffer.getvalue())
 
 
-def read_observations(path: Path, *, of: Episode | None = None) -> dict[str, NDArray[Any]]:
+def read_observations(path: Path, *, of: Episode | None = None, settings: str | None = None) -> dict[str, NDArray[Any]]:
     """Read the observations of an episode after checking every byte.
 
     Args:
         path: Their file.
         of: The episode they are to belong to, to the bit.
+        settings: Digest of the settings file that they are to have been rendered with.
 
     Raises:
         FileNotFoundError: There are none.
-        DamagedFileError: The file was altered or cut off.
-        ValueError: They were rendered from another recording.
+        DamagedFileError: The file was altered or cut off, or is of another recording or other settings.
     """
     data = path.read_bytes()
-    check_seal(path, data)
+    check_seal(path, data, again=AGAIN)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            arrays, rendered = _read_arrays(file), str(file.attrs["content_hash"])
+            arrays = _read_arrays(file)
+            recording, rendered_with = str(file.attrs["content_hash"]), str(file.attrs["settings"])
     except (OSError, KeyError, RuntimeError) as error:
-        raise DamagedFileError(path, f"its content cannot be read ({error})") from error
-    if of is not None and of.content_hash() != rendered:
-        raise ValueError(
-            f"{path} was rendered from another recording than episode {of.id}; remove it and render again."
-        )
+        raise DamagedFileError(path, f"its content cannot be read ({error})", again=AGAIN) from error
+    if of is not None and of.content_hash() != recording:
+        raise DamagedFileError(path, "it was rendered from another recording", again=AGAIN)
+    if settings is not None and settings != rendered_with:
+        raise DamagedFileError(path, f"it was rendered with other settings than {SETTINGS} holds", again=AGAIN)
     return arrays
 
 
@@ -230,21 +255,22 @@ class ObservationFolder:
 
     Raises:
         FileNotFoundError: No settings were given and the folder holds none.
+        DamagedFileError: Its settings cannot be read.
         ValueError: The folder holds observations with other settings.
     """
 
     def __init__(self, path: str | Path, settings: ObservationSettings | None = None) -> None:
         self.path = Path(path)
         marker = self.path / SETTINGS
-        held = ObservationSettings.from_dict(json.loads(marker.read_text())) if marker.is_file() else None
-        if settings is None and held is None:
-            raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
-        if settings is not None and held is not None and settings != held:
-            raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
-        if settings is not None and held is None:
+        if not marker.exists():
+            if settings is None:
+                raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
             self.path.mkdir(parents=True, exist_ok=True)
             atomic_write(marker, json.dumps(settings.to_dict(), indent=1).encode() + b"\n")
-        self.settings = settings or held
+        self.settings = _read_settings(marker)
+        if settings is not None and settings != self.settings:
+            raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
+        self._digest = hashlib.sha256(marker.read_bytes()).hexdigest()[:16]
 
     def file_of(self, episode_id: str) -> Path:
         """Return where the observations of an episode are, or would be."""
@@ -254,14 +280,25 @@ class ObservationFolder:
         """Return those of which nothing is rendered yet."""
         return [name for name in episode_ids if not self.file_of(name).is_file()]
 
+    def write(self, episode: Episode, arrays: Mapping[str, NDArray[Any]], things: list[str]) -> None:
+        """Write the observations of an episode, as `ObservationRenderer` made them with these settings."""
+        write_observations(self.file_of(episode.id), episode, arrays, things=things, settings=self._digest)
+
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
         """Read the observations of an episode, as `read_observations`."""
-        return read_observations(self.file_of(episode_id))
+        return read_observations(self.file_of(episode_id), settings=self._digest)
 
     def of(self, episode: Episode) -> dict[str, NDArray[Any]]:
         """Read the observations of this very recording.
 
         Raises:
-            FileNotFoundError, DamagedFileError, ValueError: As `read_observations`.
+            FileNotFoundError, DamagedFileError: As `read_observations`.
         """
-        return read_observations(self.file_of(episode.id), of=episode)
+        return read_observations(self.file_of(episode.id), of=episode, settings=self._digest)
+
+
+def _read_settings(path: Path) -> ObservationSettings:
+    try:
+        return ObservationSettings.from_dict(json.loads(path.read_bytes()))
+    except (OSError, ValueError) as error:
+        raise DamagedFileError(path, f"it holds no settings ({error})", again=f"{AGAIN} everything") from error

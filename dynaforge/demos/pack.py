@@ -72,9 +72,12 @@ class Pack:
         """Write a pack; one already there is replaced once the new one is whole.
 
         Raises:
+            FileExistsError: The folder holds something else.
             ValueError: There is no episode, or some have points and some have none.
         """
         folder = Path(folder)
+        if folder.exists() and not (folder / ABOUT).is_file() and not (folder.is_dir() and not any(folder.iterdir())):
+            raise FileExistsError(f"{folder} holds something other than a pack. Choose another folder.")
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError
 from dynaforge.demos.ledger import Attempt
 from dynaforge.demos.observations import FOLDER as OBSERVATIONS
-from dynaforge.demos.observations import SETTINGS, read_observations
+from dynaforge.demos.observations import SETTINGS, ObservationFolder
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
 from dynaforge.tasks.digest import task_digest
@@ -49,13 +48,14 @@ def verify_folder(dataset: DemonstrationDataset) -> list[Finding]:
     for attempt in noted:
         if attempt.condition.task != dataset.task:
             found.append(Finding(ledger, f"attempt {attempt.id} is one at task {attempt.condition.task!r}"))
-        elif (attempt.success or attempt.recorded) and attempt.id not in names:
-            found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
+    for attempt in dataset.lost():
+        found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
     for name in sorted(names - {attempt.id for attempt in noted}):
         found.append(Finding(ledger, f"no line tells of {name}: lost, or a kill fell before it (`collect` adds it)"))
-    sources = dataset.path / SOURCES
-    if sources.exists() and not _is_json(sources):
-        found.append(Finding(sources, "it is no JSON"))
+    try:
+        dataset.sources()
+    except DamagedFileError as error:
+        found.append(Finding(error.path, error.reason))
     return found + _strangers(dataset.path / "episodes", names) + _observation_findings(dataset, names)
 
 
@@ -71,17 +71,14 @@ def _strangers(folder: Path, names: set[str], *others: str) -> list[Finding]:
 def _observation_findings(dataset: DemonstrationDataset, names: set[str]) -> list[Finding]:
     folder = dataset.path / OBSERVATIONS
     found = _strangers(folder, names, SETTINGS)
-    if folder.is_dir() and not _is_json(folder / SETTINGS):
-        found.append(Finding(folder / SETTINGS, "it is missing, or no JSON"))
+    if folder.is_dir():
+        try:
+            ObservationFolder(folder)
+        except FileNotFoundError:
+            found.append(Finding(folder / SETTINGS, "it is missing"))
+        except DamagedFileError as error:
+            found.append(Finding(error.path, error.reason))
     return found
-
-
-def _is_json(path: Path) -> bool:
-    try:
-        json.loads(path.read_bytes())
-    except (OSError, ValueError):
-        return False
-    return True
 
 
 def verify_episode(
@@ -102,7 +99,12 @@ def verify_episode(
         episode = dataset[name]
     except DamagedFileError as error:
         return [Finding(path, error.reason)]
-    problems = [*_wrong_values(episode), *_wrong_digests(episode), *_wrong_outcome(episode, noted)]
+    problems = [
+        *_wrong_values(episode),
+        *_wrong_digests(episode),
+        *_wrong_source(dataset, episode),
+        *_wrong_outcome(episode, noted),
+    ]
     if replayer is not None:
         if episode.meta.get("task_hash", task_digest(replayer.task)) != task_digest(replayer.task):
             problems.append(f"it was recorded with another definition of task {dataset.task!r}")
@@ -131,16 +133,28 @@ def verify(
 
 
 def _wrong_observations(dataset: DemonstrationDataset, episode: Episode) -> list[Finding]:
-    path = dataset.path / OBSERVATIONS / f"{episode.id}{SUFFIX}"
     try:
-        read_observations(path, of=episode)
+        ObservationFolder(dataset.path / OBSERVATIONS).of(episode)
     except FileNotFoundError:
         return []
     except DamagedFileError as error:
-        return [Finding(path, error.reason)]
-    except ValueError:
-        return [Finding(path, "it was rendered from another recording")]
+        return [Finding(error.path, error.reason)]
     return []
+
+
+def _wrong_source(dataset: DemonstrationDataset, episode: Episode) -> Iterator[str]:
+    try:
+        sources = dataset.sources()
+    except DamagedFileError:  # said of the folder
+        return
+    source = sources.get(episode.generator)
+    if source is None:
+        if sources:
+            yield f"{SOURCES} does not know its generator {episode.generator!r}"
+        return
+    for name, noted in (("policy_hash", source.policy), ("task_hash", source.task_definition)):
+        if episode.meta.get(name, "") != noted:
+            yield f"its {name} is {episode.meta.get(name, '')!r}, {SOURCES} notes {noted!r}"
 
 
 def _wrong_values(episode: Episode) -> Iterator[str]:
@@ -164,8 +178,11 @@ def _wrong_outcome(episode: Episode, noted: Attempt | None) -> Iterator[str]:
             yield "it has a reward before its last step"
         if (rewards[-1] == 1.0) != episode.success:
             yield f"its last reward is {rewards[-1]:g}, its success {episode.success}"
-    if noted is not None and (noted.success, noted.failure) != (episode.success, episode.failure):
-        yield f"the ledger notes {noted.failure or 'success'!r}, the file {episode.failure or 'success'!r}"
+    if noted is not None:
+        found = Attempt.of(episode).to_dict()
+        for name, value in noted.to_dict().items():
+            if name not in ("wall_seconds", "block", "recorded") and value != found[name]:
+                yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
 
 
 def _versions(episode: Episode) -> str:

@@ -23,8 +23,8 @@ from dynaforge.geometry import Array
 
 PLANNER = "planner_only"
 COLUMNS = (
-    "seeds", "DGR %", "std", "against", "95 %", "opt. steps", "steps to", "greedy", "used", "sim", "opt.", "wall sim",
-    "wall opt.",
+    "seeds", "DGR %", "std", "val %", "opt. steps", "against", "95 %", "opt. ratio", "steps to", "greedy", "used",
+    "sim", "opt.", "wall sim", "wall opt.",
 )  # fmt: skip
 LATE = 5  # probes at the end of a run, whose mean says where it ends
 VANILLA = "grpo"
@@ -91,6 +91,7 @@ class ArmSummary:
 
     Attributes:
         rates: DGR of each training seed.
+        late: Success without exploration on `val`, mean of the last five probes; NaN without probes.
         optimizer_steps: Made in a run.
         transitions_used: Gated transitions of the kept groups of a run.
         collect_cpu, optimize_cpu, collect_wall, optimize_wall: Seconds of a run, on the one core it has.
@@ -103,6 +104,7 @@ class ArmSummary:
     """
 
     rates: tuple[float, ...]
+    late: float
     optimizer_steps: float
     transitions_used: float
     collect_cpu: float
@@ -210,6 +212,7 @@ class Comparison:
         probes = [_probes(history) for history in histories]
         return ArmSummary(
             rates=tuple(run.rate for run in self.of(task, arm)),
+            late=mean(float(p[-LATE:].mean()) if len(p) else math.nan for p in probes),
             optimizer_steps=mean(h.optimizer_steps[-1] for h in histories),
             transitions_used=mean(h.transitions_used[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
@@ -254,7 +257,7 @@ class Comparison:
             shared = self.complete_tasks(arm)
             if len(shared) > 1:
                 grid.add_row(f"mean of {len(shared)}", arm, *self.cells(arm, shared))
-        console = Console(file=io.StringIO(), width=180, color_system=None, force_terminal=False)
+        console = Console(file=io.StringIO(), width=200, color_system=None, force_terminal=False)
         with console.capture() as capture:
             console.print(grid)
         rows = "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
@@ -265,11 +268,11 @@ class Comparison:
         exam = self.runs[0].exam
         return (
             f"DGR of the final policy without exploration on {exam['blocks']} x {exam['attempts']} conditions of "
-            f"{exam['stream']}, mean and std over training seeds;\nagainst {self.reference} in points, 95 % bootstrap "
-            f"over training seeds and conditions; optimizer steps and environment steps to {self.reference}'s\nfinal "
-            "success in training, and in probes without exploration, as ratios to it ('-': not reached); of a run: "
-            "thousands of\ntransitions in kept groups, minutes of simulation and of optimisation, CPU and wall, on one "
-            "core."
+            f"{exam['stream']}, mean and std over training seeds; mean of the last {LATE} probes\non val, without "
+            f"exploration; optimizer steps of a run; against {self.reference} in points, 95 % bootstrap over training "
+            f"seeds and conditions;\noptimizer steps and environment steps to {self.reference}'s final success in "
+            "training, and in probes, as ratios to it ('-': not reached);\nof a run: thousands of transitions in kept "
+            "groups, minutes of simulation and of optimisation, CPU and wall, on one core."
         )
 
     def cells(self, arm: str, tasks: Sequence[str]) -> list[str]:
@@ -279,6 +282,8 @@ class Comparison:
         rate = mean(mean(s.rates) for s in mine)
         over_seeds = [mean(s.rates[k] for s in mine) for k in range(seeds)]
         cells = [str(seeds), f"{100 * rate:.1f}", f"{100 * stdev(over_seeds):.1f}" if seeds > 1 else "-"]
+        late = mean(s.late for s in mine)
+        cells += ["-" if math.isnan(late) else f"{100 * late:.1f}", f"{mean(s.optimizer_steps for s in mine):.0f}"]
         if arm == self.reference or not all(self.of(task, self.reference) for task in tasks):
             compared = ["-"] * 5
         else:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from itertools import islice
 
 from dynaforge.demos import Attempt, DemonstrationDataset
+from dynaforge.demos.dataset import Provenance
 from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+from dynaforge.tasks.digest import task_digest
 
 Engine = Callable[..., Iterator[Result]]
 
@@ -65,8 +67,9 @@ def collect(
     """Attempt conditions until the goal is reached, each attempt recorded as it ends.
 
     What the folder holds of this generator counts toward the goal and is not attempted again, so the same call goes on
-    after an interruption, which costs the attempts under way. Attempts under way when the goal is reached are recorded
-    too: whether an attempt counts must not depend on how it ends. So the attempts are a prefix of the stream.
+    after an interruption, which costs the attempts under way; only what lost its recording is made again. Attempts
+    under way when the goal is reached are recorded too: whether an attempt counts must not depend on how it ends. So
+    the attempts are a prefix of the stream.
 
     Args:
         dataset: Open for adding.
@@ -80,8 +83,13 @@ def collect(
 
     Returns:
         All attempts of this generator at these conditions that the folder now holds.
+
+    Raises:
+        ValueError: The folder holds attempts of another policy, or with another definition of the task.
     """
-    held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name}
+    dataset.note_source(generator.name, Provenance(getattr(generator, "policy_hash", ""), task_digest(task)))
+    lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
+    held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name and a.id not in lost}
     source = source or Source()
     done: list[Attempt] = []
     under_way = 0

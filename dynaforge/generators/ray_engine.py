@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dynaforge.envs.processes import SINGLE_THREAD
@@ -17,8 +16,9 @@ from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
-RECOVERY = 60.0  # seconds that an actor which died, perhaps with its whole node, has to come back and end the attempt
+PATIENCE = 300.0  # seconds without any actor that is up, after which the run ends
 AHEAD = 2  # attempts handed to an actor, so that it never waits for the next
+TRIES = 3  # actors that may fall under an attempt before it counts as failed
 
 
 class _Attempter:
@@ -26,6 +26,9 @@ class _Attempter:
 
     def __init__(self, task: Task, generator: Generator) -> None:
         self._env, self._generator = ResidualEnv(task), generator
+
+    def ready(self) -> None:
+        """Return once it is up."""
 
     def attempt(self, condition: Condition) -> Result:
         return attempt_once(self._env, self._generator, condition)
@@ -36,8 +39,9 @@ def run_attempts_on_ray(
 ) -> Iterator[Result]:
     """Attempt every condition on a running Ray cluster and yield the results in order.
 
-    Ray restarts an actor that died, on another node if its own is gone, and the attempt is repeated: work is keyed by
-    condition, so that is harmless. An attempt that takes its actor down again and again is a failed attempt.
+    What an actor that died was handed goes to those that are up, and another takes its place, as soon as the cluster
+    has a core for it: work is keyed by condition, so repeating it is harmless. An attempt under which one actor after
+    another falls is a failed attempt.
 
     Args:
         task: The task; dynaforge must be installed on every node.
@@ -49,50 +53,123 @@ def run_attempts_on_ray(
     Raises:
         ImportError: Ray, of the `[ray]` extra, is missing.
         ConnectionError: No cluster is running.
+        RuntimeError: No actor comes up.
     """
     ray = _connected()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-    make = ray.remote(num_cpus=1, max_restarts=-1, runtime_env={"env_vars": SINGLE_THREAD})(_Attempter)
-    actors = [make.remote(task, generator) for _ in range(count)]
-    load = [0] * count
-    running: deque[tuple[Condition, int, Any]] = deque()
+    crew = _Crew(ray, task, generator, count)
     source = iter(conditions)
-
-    def hand_out(n: int) -> None:
-        for condition in islice(source, n):
-            k = load.index(min(load))
-            load[k] += 1
-            running.append((condition, k, actors[k].attempt.remote(condition)))
-
     try:
-        hand_out(AHEAD * count)
-        while running:
-            condition, k, reference = running.popleft()
-            result = _result(ray, actors[k], condition, reference, generator.name)
-            load[k] -= 1
+        crew.hand_out(source)
+        while crew.running:
+            result = crew.next_result()
             yield replace(result, attempt=replace(result.attempt, block=block))
-            hand_out(1)
+            crew.hand_out(source)
     finally:
-        for actor in actors:
-            ray.kill(actor)
+        crew.kill()
 
 
-def _result(ray: Any, actor: Any, condition: Condition, reference: Any, name: str) -> Result:
-    """Wait for an attempt; while its actor is being restarted, ask again."""
-    fell: float | None = None
-    while True:
-        try:
-            result: Result = ray.get(reference, timeout=TIMEOUT)
-            return result
-        except ray.exceptions.GetTimeoutError:
-            ray.kill(actor, no_restart=False)  # it is still at it, and would keep all that follows waiting
-            return lost(condition, name, f"worker lost: it ran for {TIMEOUT:g} s")
-        except ray.exceptions.RayError as error:
-            fell = fell or time.monotonic()
-            if time.monotonic() - fell > RECOVERY:
-                return lost(condition, name, f"worker lost: {type(error).__name__}")
-            time.sleep(1.0)
-            reference = actor.attempt.remote(condition)
+@dataclass(slots=True)
+class _Attempt:
+    """An attempt under way: at which condition, by which actor, and how many have fallen under it."""
+
+    condition: Condition
+    actor: int
+    reference: Any
+    falls: int = 0
+
+
+class _Crew:
+    """Actors and what they were handed, oldest first."""
+
+    def __init__(self, ray: Any, task: Task, generator: Generator, size: int) -> None:
+        self.running: deque[_Attempt] = deque()
+        self._ray, self._name = ray, generator.name
+        make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": SINGLE_THREAD})(_Attempter)
+        self._make: Callable[[], Any] = lambda: make.remote(task, generator)
+        self._actors: list[Any] = [self._make() for _ in range(size)]
+        self._starting = {k: actor.ready.remote() for k, actor in enumerate(self._actors)}
+        self._load = [0] * size
+
+    def hand_out(self, source: Iterator[Condition]) -> None:
+        """Give every actor that is up as much as it may have; wait for one if none is."""
+        while (k := self._freest(wait=not self.running)) is not None and self._load[k] < AHEAD:
+            condition = next(source, None)
+            if condition is None:
+                return
+            self.running.append(self._given(condition, k))
+
+    def next_result(self) -> Result:
+        """Wait for the oldest attempt."""
+        while True:
+            attempt = self.running.popleft()
+            try:
+                result: Result = self._ray.get(attempt.reference, timeout=TIMEOUT)
+            except self._ray.exceptions.GetTimeoutError:
+                self._replace(attempt.actor)
+                return lost(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
+            except self._ray.exceptions.RayError as error:
+                attempt.falls += 1
+                if attempt.falls < TRIES:
+                    self.running.appendleft(attempt)
+                self._replace(attempt.actor)
+                if attempt.falls == TRIES:
+                    return lost(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
+            else:
+                self._load[attempt.actor] -= 1
+                return result
+
+    def kill(self) -> None:
+        for actor in self._actors:
+            self._ray.kill(actor)
+
+    def _given(self, condition: Condition, k: int, falls: int = 0) -> _Attempt:
+        self._load[k] += 1
+        return _Attempt(condition, k, self._actors[k].attempt.remote(condition), falls)
+
+    def _replace(self, k: int) -> None:
+        """Put another actor in the place of one that fell or hangs; what that one had goes to those that are up."""
+        self._ray.kill(self._actors[k])
+        self._actors[k], self._load[k] = self._make(), 0
+        self._starting[k] = self._actors[k].ready.remote()
+        for place, attempt in enumerate(self.running):
+            if attempt.actor == k:
+                up = self._freest(wait=True)
+                assert up is not None
+                self.running[place] = self._given(attempt.condition, up, attempt.falls)
+
+    def _freest(self, *, wait: bool) -> int | None:
+        """Return the actor with the least to do among those that are up."""
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            problem = self._greet()
+            up = [k for k in range(len(self._actors)) if k not in self._starting]
+            if up:
+                return min(up, key=lambda k: self._load[k])
+            if not wait:
+                return None
+            if time.monotonic() > deadline:
+                raise RuntimeError(
+                    f"No Ray actor came up within {PATIENCE:g} s ({problem or 'all wait for a core'}). What is "
+                    "recorded stays. See `ray status` for free cores, and that dynaforge is installed on every node."
+                )
+            self._ray.wait(list(self._starting.values()), num_returns=1, timeout=1.0)
+
+    def _greet(self) -> str:
+        """Find out who has come up, and replace who fell on the way; returns why, if any did."""
+        problem = ""
+        for k, reference in list(self._starting.items()):
+            if not self._ray.wait([reference], timeout=0)[0]:
+                continue
+            try:
+                self._ray.get(reference)
+                del self._starting[k]
+            except self._ray.exceptions.RayError as error:
+                problem = str(error).strip().splitlines()[-1]
+                self._actors[k] = self._make()
+                self._starting[k] = self._actors[k].ready.remote()
+                time.sleep(0.1)
+        return problem
 
 
 def _connected() -> Any:

@@ -47,7 +47,7 @@ class Shown:
 
 
 class Filmer:
-    """Makes the clip of an episode from its replay, or from rendered pictures if they are there.
+    """Makes the clip of an episode from its replay.
 
     Args:
         task: The task.
@@ -59,7 +59,11 @@ class Filmer:
         self._fps = task.scene.fps
 
     def film(self, episode: Episode) -> bytes:
-        """Return it as MP4, one picture a control step."""
+        """Return it as MP4, one picture a control step.
+
+        Raises:
+            ValueError: The episode cannot be simulated again.
+        """
         return encode_mp4(self._renderer.render(episode)["front/rgb"], fps=self._fps, quality=28)
 
     def close(self) -> None:

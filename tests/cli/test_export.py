@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,3 +52,25 @@ def test_what_cannot_be_exported_leaves_nothing(data: Path, capsys: pytest.Captu
     assert not list(data.parent.glob("*zarr*"))
     assert not list(data.parent.glob(".*"))
     assert {"lerobot", "robomimic", "minari", "dp3-zarr"} == set(FORMATS)
+
+
+def test_what_cannot_be_simulated_again_is_exported_without_a_contact_sheet(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As with other versions of the physics; the card keeps the generators apart."""
+    held = DemonstrationDataset(data)
+    dataset = DemonstrationDataset(tmp_path / "peach", task="peach", keep_failures=True)
+    for k, episode in enumerate(held):
+        steps = dict(episode.steps) | {"q": episode.steps["q"] + 1e-9}
+        dataset.add(replace(episode, steps=steps, generator=("planner_only", "residual")[k]))
+    assert main(["export", str(dataset.path), "--format", "robomimic", "--failures"]) == 0
+    assert "no contact sheet: Episode" in capsys.readouterr().out
+    out = tmp_path / "peach-robomimic"
+    card = (out / "README.md").read_text()
+    assert not (out / "contact.png").exists()
+    assert "contact.png" not in card
+    assert "planner_only: " in card
+    assert "residual: " in card
+    assert main(["view", str(dataset.path)]) == 2
+    assert "`--no-clips`" in capsys.readouterr().err
+    assert main(["view", str(dataset.path), "--no-clips"]) == 0

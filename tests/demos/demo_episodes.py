@@ -21,5 +21,5 @@ def make_episode(seed: int = 0, *, success: bool = True, task: str = "can", step
         "requested_action": rng.normal(size=(steps, 8)),
     }
     failure = "" if success else "timeout in close"
-    meta = {"phases": ["track", "close"], "versions": {"numpy": np.__version__}}
+    meta = {"phases": ["track", "close"], "versions": {"numpy": np.__version__}, "policy_hash": "p", "task_hash": "t"}
     return Episode(condition, "planner", success, 4 if success else 2, failure, "lift", 0.66, recorded, meta)

@@ -112,7 +112,7 @@ def test_files_give_back_what_was_written_and_notice_damage(tmp_path: Path) -> N
     episode = episode_of("can", steps=2)
     renderer = ObservationRenderer(get_task("can"), settings("can", "front"))
     arrays, path = renderer.render(episode), tmp_path / "e.h5"
-    write_observations(path, episode, arrays, renderer.things())
+    write_observations(path, episode, arrays, things=renderer.things(), settings="x")
     renderer.close()
     back = read_observations(path)
     assert sorted(back) == sorted(arrays)
@@ -122,6 +122,9 @@ def test_files_give_back_what_was_written_and_notice_damage(tmp_path: Path) -> N
     assert read_observations(path, of=episode).keys() == arrays.keys()
     with pytest.raises(ValueError, match="rendered from another recording"):
         read_observations(path, of=episode_of("can", steps=3))
+    assert read_observations(path, settings="x").keys() == arrays.keys()
+    with pytest.raises(DamagedFileError, match=r"other settings than settings\.json holds.*render again"):
+        read_observations(path, settings="y")
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
@@ -137,6 +140,10 @@ def test_a_folder_keeps_to_its_settings(tmp_path: Path) -> None:
     assert ObservationFolder(tmp_path).settings == wanted
     with pytest.raises(ValueError, match="other settings"):
         ObservationFolder(tmp_path, settings("can", "front"))
+    for damaged in ("{}", "[]", "{"):
+        (tmp_path / "settings.json").write_text(damaged)
+        with pytest.raises(DamagedFileError, match=r"settings\.json is damaged: it holds no settings"):
+            ObservationFolder(tmp_path)
 
 
 @pytest.mark.parametrize(("cameras", "kind"), [((), {}), (("front", "front"), {}), (("front",), {"images": False})])

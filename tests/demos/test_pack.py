@@ -44,3 +44,12 @@ def test_a_pack_is_replaced_as_a_whole(tmp_path: Path) -> None:
         Pack(tmp_path)
     with pytest.raises(ValueError, match="no demonstration"):
         Pack.write(tmp_path / "none", [])
+
+
+def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("years of work")
+    with pytest.raises(FileExistsError, match="something other than a pack"):
+        Pack.write(tmp_path, [frames(1, 4)])
+    assert (tmp_path / "thesis.txt").read_text() == "years of work"
+    (tmp_path / "new").mkdir()
+    assert len(Pack.write(tmp_path / "new", [frames(1, 4)])) == 4

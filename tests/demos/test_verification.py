@@ -13,9 +13,13 @@ from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset, Episode, write_episode
-from dynaforge.demos.observations import write_observations
+from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
+from dynaforge.tasks import get_task
+
+SETTINGS = ObservationSettings((standard_cameras(get_task("can"))["front"],))
 
 
 @pytest.fixture
@@ -27,13 +31,13 @@ def dataset(tmp_path: Path) -> DemonstrationDataset:
     made.add(make_episode(8, success=False))
     made.keep_failures = False
     made.add(make_episode(9, success=False))
+    made.note_source("planner", Provenance(policy="p", task_definition="t"))
     return made
 
 
 @pytest.fixture
 def pictured(dataset: DemonstrationDataset) -> DemonstrationDataset:
-    (dataset.path / "observations").mkdir()
-    (dataset.path / "observations" / "settings.json").write_text("{}")
+    ObservationFolder(dataset.path / "observations", SETTINGS)
     for episode in dataset:
         draw(dataset, episode)
     return dataset
@@ -41,7 +45,7 @@ def pictured(dataset: DemonstrationDataset) -> DemonstrationDataset:
 
 def draw(dataset: DemonstrationDataset, episode: Episode) -> None:
     pictures = {"front/rgb": np.zeros((len(episode), 4, 4, 3), np.uint8)}
-    write_observations(dataset.path / "observations" / f"{episode.id}.h5", episode, pictures, ["can"])
+    ObservationFolder(dataset.path / "observations").write(episode, pictures, ["can"])
 
 
 def problems(dataset: DemonstrationDataset) -> dict[str, list[str]]:
@@ -80,13 +84,20 @@ def replace_by_another(path: Path, rng: np.random.Generator) -> Path:
     return path
 
 
+def replace_by_one_of_another_policy(path: Path, rng: np.random.Generator) -> Path:
+    """Of the same condition and outcome, as another dataset of the task holds it."""
+    episode = next(e for e in map(make_episode, (*range(4), 8)) if e.id == path.stem)
+    write_episode(path, replace(episode, meta=dict(episode.meta) | {"policy_hash": f"q{rng.integers(10**6)}"}))
+    return path
+
+
 def put_something_else(path: Path, rng: np.random.Generator) -> Path:
     other = path.with_name(f"notes-{rng.integers(10**6)}.txt")
     other.write_text("not an episode")
     return other
 
 
-CORRUPTIONS = (flip, cut, lose, duplicate, replace_by_another, put_something_else)
+CORRUPTIONS = (flip, cut, lose, duplicate, replace_by_another, replace_by_one_of_another_policy, put_something_else)
 
 
 def corrupt_and_find(dataset: DemonstrationDataset, trials: int) -> None:
@@ -137,11 +148,20 @@ def test_what_a_ledger_lacks_is_found_by_the_recordings(dataset: DemonstrationDa
     assert len(problems(dataset)["ledger.jsonl"]) == 5
 
 
-def test_notes_on_policies_and_pictures_are_read(pictured: DemonstrationDataset) -> None:
+def test_every_flipped_bit_of_the_notes_beside_the_files_is_found(pictured: DemonstrationDataset) -> None:
+    """What made the episodes, and what they were rendered with."""
+    rng = np.random.default_rng(2)
     for name in ("generators.json", "observations/settings.json"):
-        (pictured.path / name).write_text("{")
-        assert set(problems(pictured)) == {Path(name).name}
-        (pictured.path / name).write_text("{}")
+        path = pictured.path / name
+        whole = path.read_bytes()
+        for _ in range(40):
+            flip(path, rng)
+            assert problems(pictured), path.read_bytes()
+        path.write_bytes(b"{")
+        assert path.name in problems(pictured)
+        path.unlink()
+        assert problems(pictured) or name == "generators.json"
+        path.write_bytes(whole)
     assert not problems(pictured)
 
 
@@ -173,14 +193,21 @@ def test_states_that_differ_from_their_digests_are_named(dataset: DemonstrationD
     digests = state_digests(episode.steps)
     assert len(digests) == 1, "one a second, and the recording is shorter than that"
     steps = dict(episode.steps) | {"q": episode.steps["q"] + 1e-12}
-    write_episode(dataset.file_of(episode.id), replace(episode, steps=steps, meta={"state_digests": digests}))
+    write_episode(
+        dataset.file_of(episode.id), replace(episode, steps=steps, meta=dict(episode.meta) | {"state_digests": digests})
+    )
     assert problems(dataset) == {f"{episode.id}.h5": ["its states differ from their digest at second 0"]}
 
 
 def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationDataset) -> None:
     episode: Episode = make_episode(0)
     write_episode(dataset.file_of(episode.id), replace(episode, success=False, failure="slipped"))
-    assert problems(dataset) == {f"{episode.id}.h5": ["the ledger notes 'success', the file 'slipped'"]}
+    assert problems(dataset) == {
+        f"{episode.id}.h5": [
+            "the ledger notes success True, the file False",
+            "the ledger notes failure '', the file 'slipped'",
+        ]
+    }
 
 
 def test_verify_ends_with_0_or_1(dataset: DemonstrationDataset, capsys: pytest.CaptureFixture[str]) -> None:

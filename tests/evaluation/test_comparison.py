@@ -78,12 +78,13 @@ def test_steps_to_vanilla_without_exploration_are_those_of_three_probes() -> Non
     comparison = Comparison(tuple(runs))
     greedy = [comparison.summary("can", arm).greedy_steps_to_vanilla for arm in ("grpo", "x", "y")]
     assert greedy == [300.0, 200.0, float("inf")]
+    assert [comparison.summary("can", arm).late for arm in ("grpo", "x", "y")] == [0.5, 0.8, 0.0]
 
 
 def test_the_table_holds_every_arm_and_the_ratios() -> None:
     table = RUNS.table()
     row = next(line for line in table.splitlines() if "frontier_grpo" in line)
-    for cell in ("90.0", "+40.0", "0.25 x", "4.0", "0.40"):
+    for cell in ("90.0", "10", "+40.0", "0.25 x", "4.0", "0.40"):
         assert cell in row, cell
     assert "planner only" in table
 

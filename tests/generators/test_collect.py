@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import json
+import shutil
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -7,7 +10,7 @@ import pytest
 
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.generators import Goal, PlannerOnly, Source, collect
+from dynaforge.generators import Goal, PlannerOnly, Source, collect, run_attempts
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
@@ -61,13 +64,49 @@ def test_what_is_missing_in_the_middle_is_attempted(tmp_path: Path) -> None:
     assert [attempt.condition.id for attempt in done if attempt.failure != "x"] == stream(4)[1:2]
 
 
-def test_a_goal_of_successes_counts_those_already_held(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def won(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the two easiest conditions of some, which the planner wins."""
+    folder = tmp_path_factory.mktemp("won")
+    dataset = DemonstrationDataset(folder, task="can")
+    easy = sorted(islice(Source().conditions(CAN), 24), key=lambda condition: condition.difficulty)[:2]
+    for result in run_attempts(CAN, PlannerOnly(), easy, workers=1):
+        assert result.episode is not None
+        dataset.add(result.episode)
+    assert len(dataset) == 2
+    return folder
+
+
+def test_a_goal_of_successes_counts_those_already_held(won: Path, tmp_path: Path) -> None:
+    shutil.copytree(won, tmp_path, dirs_exist_ok=True)
     dataset = DemonstrationDataset(tmp_path, task="can")
-    for condition in islice(Source().conditions(CAN), 2):
-        dataset.record(
-            Attempt(condition, "planner_only", success=True, checkpoint=5, failure="", phase="", duration=0.0)
-        )
-    assert ids(collect(dataset, CAN, PlannerOnly(), Goal(2, None))) == stream(2)
+    attempt = dataset.attempts()[0]
+    source = Source(shard=(stream(24).index(attempt.condition.id), 24))
+    assert ids(collect(dataset, CAN, PlannerOnly(), Goal(1, None), source=source)) == [attempt.condition.id]
+    assert len(dataset.ledger.path.read_text().splitlines()) == 2, "the held one was not made again"
+
+
+def test_a_recording_that_was_deleted_is_made_again_to_the_bit(won: Path, tmp_path: Path) -> None:
+    """As the message on a damaged file advises."""
+    shutil.copytree(won, tmp_path, dirs_exist_ok=True)
+    dataset = DemonstrationDataset(tmp_path, task="can")
+    attempt = dataset.attempts()[0]
+    path, place = dataset.file_of(attempt.id), stream(24).index(attempt.condition.id)
+    whole = path.read_bytes()
+    path.unlink()
+    assert [lost.id for lost in dataset.lost()] == [attempt.id]
+    collect(dataset, CAN, PlannerOnly(), Goal(None, 1), source=Source(shard=(place, 24)), workers=1)
+    assert path.read_bytes() == whole
+    assert not dataset.lost()
+    assert len(dataset.attempts()) == 2, "it is the same attempt"
+
+
+def test_two_definitions_of_a_task_do_not_mix(tmp_path: Path) -> None:
+    dataset = DemonstrationDataset(tmp_path, task="can")
+    collect(dataset, CAN, PlannerOnly(), Goal(None, 1), workers=1)
+    other = replace(CAN, impossible=())
+    with pytest.raises(ValueError, match="another definition of task 'can'"):
+        collect(dataset, other, PlannerOnly(), Goal(None, 2), workers=1)
 
 
 def test_collect_says_what_it_holds_and_refuses_another_policy(
@@ -79,7 +118,9 @@ def test_collect_says_what_it_holds_and_refuses_another_policy(
     printed = capsys.readouterr().out
     assert "holds 2 attempts; going on" in printed
     assert "in 2 attempts, DGR" in printed
-    (tmp_path / "generators.json").write_text('{"planner_only": "another"}')
+    noted = DemonstrationDataset(tmp_path).sources()["planner_only"]
+    other = {"planner_only": {"policy": "another", "task_definition": noted.task_definition}}
+    (tmp_path / "generators.json").write_text(json.dumps(other))
     assert main(asked) == 2
     assert "holds attempts of policy another" in capsys.readouterr().err
     assert main(["collect", "--demos", "0", "--out", str(tmp_path)]) == 2

@@ -13,7 +13,6 @@ from dynaforge.demos.observations import (
     ObservationRenderer,
     ObservationSettings,
     standard_cameras,
-    write_observations,
 )
 from dynaforge.generators import Goal, PlannerOnly, collect
 from dynaforge.tasks import get_task
@@ -32,6 +31,6 @@ def episodes(tmp_path_factory: pytest.TempPathFactory) -> list[Frames]:
     seen = ObservationFolder(folder / "observations", ObservationSettings((camera,), points=16))
     renderer = ObservationRenderer(CAN, seen.settings)
     for episode in dataset:
-        write_observations(seen.file_of(episode.id), episode, renderer.render(episode), renderer.things())
+        seen.write(episode, renderer.render(episode), renderer.things())
     renderer.close()
     return list(read_frames(dataset, fps=CAN.scene.fps, observations=seen, failures=True))
