@@ -203,9 +203,10 @@ class Crew:
 
     def _listen(self, spec: RunSpec, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith("{"):
-                self._news.put((spec, json.loads(line)))
+        with process.stdout as lines:
+            for line in lines:
+                if line.startswith("{"):
+                    self._news.put((spec, json.loads(line)))
         self._news.put((spec, None))
 
     def _hear(self, spec: RunSpec, news: dict[str, Any], bar: Any) -> None:

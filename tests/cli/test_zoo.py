@@ -216,7 +216,7 @@ def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     zoo_process(tmp_path, "train", *which, "-n", "64", "-i", agent, "--trusted", "--eval-freq", "-1", *small)
     assert (second / "policy.safetensors").read_bytes() != policy.read_bytes()
 
-    enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "12", "--no-render", "--trusted")
+    enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "120", "--no-render", "--trusted")
     assert "Loading" in enjoyed
     assert "Episode" in enjoyed
 
