@@ -18,7 +18,7 @@ from dynaforge.tasks import Task
 
 PATIENCE = 300.0  # seconds without any actor that is up, after which the run ends
 AHEAD = 2  # attempts handed to an actor, so that it never waits for the next
-TRIES = 3  # actors that may fall under an attempt before it counts as failed
+TRIES = 2  # actors that fall under an attempt before it counts as failed
 
 
 class _Attempter:
@@ -71,11 +71,20 @@ def run_attempts_on_ray(
 
 @dataclass(slots=True)
 class _Attempt:
-    """An attempt under way: at which condition, by which actor, and how many have fallen under it."""
+    """An attempt under way.
+
+    Attributes:
+        condition: At which.
+        actor: By which; None while it waits for another.
+        reference: Ray's, to its result.
+        alone: Whether the actor had just shown that it is up and has nothing else to do.
+        falls: How many actors have fallen under it while it was alone with them.
+    """
 
     condition: Condition
-    actor: int
-    reference: Any
+    actor: int | None = None
+    reference: Any = None
+    alone: bool = False
     falls: int = 0
 
 
@@ -97,46 +106,72 @@ class _Crew:
             condition = next(source, None)
             if condition is None:
                 return
-            self.running.append(self._given(condition, k))
+            self.running.append(_Attempt(condition))
+            self._give(self.running[-1], k)
 
     def next_result(self) -> Result:
-        """Wait for the oldest attempt."""
+        """Wait for the oldest attempt.
+
+        An actor's fall is held against an attempt only if it was alone with an actor that was up: a node takes many
+        actors down at once, and another attempt may have been the cause.
+        """
         while True:
-            attempt = self.running.popleft()
+            attempt = self.running[0]
+            assert attempt.actor is not None
             try:
                 result: Result = self._ray.get(attempt.reference, timeout=TIMEOUT)
+                self._load[attempt.actor] -= 1
             except self._ray.exceptions.GetTimeoutError:
                 self._replace(attempt.actor)
-                return lost(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
+                result = lost(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
             except self._ray.exceptions.RayError as error:
-                attempt.falls += 1
-                if attempt.falls < TRIES:
-                    self.running.appendleft(attempt)
+                attempt.falls += attempt.alone
                 self._replace(attempt.actor)
-                if attempt.falls == TRIES:
-                    return lost(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
-            else:
-                self._load[attempt.actor] -= 1
-                return result
+                if attempt.falls < TRIES:
+                    self._give(attempt, self._idle_one(), alone=True)
+                    self._give_again()
+                    continue
+                result = lost(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
+            self.running.popleft()
+            self._give_again()
+            return result
 
     def kill(self) -> None:
         for actor in self._actors:
             self._ray.kill(actor)
 
-    def _given(self, condition: Condition, k: int, falls: int = 0) -> _Attempt:
+    def _give(self, attempt: _Attempt, k: int, *, alone: bool = False) -> None:
         self._load[k] += 1
-        return _Attempt(condition, k, self._actors[k].attempt.remote(condition), falls)
+        attempt.actor, attempt.alone, attempt.reference = k, alone, self._actors[k].attempt.remote(attempt.condition)
+
+    def _give_again(self) -> None:
+        """Give what fallen actors had to those that are up."""
+        for attempt in self.running:
+            if attempt.actor is None:
+                k = self._freest(wait=True)
+                assert k is not None
+                self._give(attempt, k)
 
     def _replace(self, k: int) -> None:
-        """Put another actor in the place of one that fell or hangs; what that one had goes to those that are up."""
+        """Put another actor in the place of one that fell or hangs; what it had waits."""
         self._ray.kill(self._actors[k])
         self._actors[k], self._load[k] = self._make(), 0
         self._starting[k] = self._actors[k].ready.remote()
-        for place, attempt in enumerate(self.running):
+        for attempt in self.running:
             if attempt.actor == k:
-                up = self._freest(wait=True)
-                assert up is not None
-                self.running[place] = self._given(attempt.condition, up, attempt.falls)
+                attempt.actor = None
+
+    def _idle_one(self) -> int:
+        """Wait until an actor shows that it is up and through with all it was given."""
+        while True:
+            k = self._freest(wait=True)
+            assert k is not None
+            try:
+                self._ray.get(self._actors[k].ready.remote(), timeout=TIMEOUT)
+            except (self._ray.exceptions.GetTimeoutError, self._ray.exceptions.RayError):
+                self._replace(k)
+            else:
+                return k
 
     def _freest(self, *, wait: bool) -> int | None:
         """Return the actor with the least to do among those that are up."""

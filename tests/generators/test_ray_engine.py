@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import pytest
 
-from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import Goal, PlannerOnly, collect
 from dynaforge.generators.ray_engine import run_attempts_on_ray
+from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
+
+
+@dataclass
+class Deadly:
+    """Takes its process down at one condition; at others it is the planner."""
+
+    condition: str
+    name: str = "deadly"
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        if condition.id == self.condition:
+            os._exit(1)
+        return PlannerOnly().attempt(env, condition)
 
 
 def test_without_ray_or_cluster_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,3 +67,19 @@ def test_a_killed_node_costs_nothing(tmp_path: Path, another_comes: bool) -> Non
     finally:
         ray.shutdown()
         cluster.shutdown()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+def test_only_the_attempt_that_takes_actors_down_is_lost() -> None:
+    ray = pytest.importorskip("ray")
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    ray.init(num_cpus=2, log_to_driver=False)
+    try:
+        conditions = list(islice(CAN.conditions.stream("train"), 8))
+        results = list(run_attempts_on_ray(CAN, Deadly(conditions[3].id), conditions))
+        assert [r.attempt.condition.id for r in results] == [c.id for c in conditions]
+        assert ["worker lost" in r.attempt.failure for r in results] == [k == 3 for k in range(8)]
+    finally:
+        ray.shutdown()
