@@ -26,7 +26,7 @@ def test_forge_ends_with_demonstrations_policy_and_report(
     small = hyperparameters("frontier_grpo", "can") | {"n_groups": 4, "group_size": 2, "n_envs": 4}
     monkeypatch.setattr(training, "hyperparameters", lambda algo, task, changes=None: small)
     out = tmp_path / "run"
-    options = ["--updates", "1", "--demos", "2", "--attempts", "4", "--budget", "5m", "--workers", "1"]
+    options = ["--updates", "1", "--demos", "2", "--attempts", "2", "--budget", "5m", "--workers", "1"]
     assert main(["forge", "--task", "can", *options, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "planner only" in printed

@@ -59,7 +59,7 @@ def cases(n: int, **options: Any) -> list[Any]:
     ]
 
 
-@pytest.fixture(scope="module", params=[*cases(3), *cases(48, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[*cases(2), *cases(48, marks=pytest.mark.slow)])
 def episodes(request: pytest.FixtureRequest) -> list[Watch]:
     return watched(*request.param)
 
