@@ -75,17 +75,13 @@ class ObservationSettings:
             ValueError: It is something else.
         """
         try:
-            return ObservationSettings._of(data)
+            cameras = tuple(
+                Camera.from_dict({k: v for k, v in camera.items() if k != "intrinsics"}) for camera in data["cameras"]
+            )
+            low, high = (tuple(corner) for corner in data["workspace"])
+            return ObservationSettings(cameras, data["images"], data["points"], (low, high))
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"No settings of observations: {error}.") from error
-
-    @staticmethod
-    def _of(data: Mapping[str, Any]) -> ObservationSettings:
-        cameras = tuple(
-            Camera.from_dict({k: v for k, v in camera.items() if k != "intrinsics"}) for camera in data["cameras"]
-        )
-        low, high = (tuple(corner) for corner in data["workspace"])
-        return ObservationSettings(cameras, data["images"], data["points"], (low, high))
 
 
 class ObservationRenderer:

@@ -96,9 +96,11 @@ class _Crew:
         self._ray, self._name = ray, generator.name
         make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": SINGLE_THREAD})(_Attempter)
         self._make: Callable[[], Any] = lambda: make.remote(task, generator)
-        self._actors: list[Any] = [self._make() for _ in range(size)]
-        self._starting = {k: actor.ready.remote() for k, actor in enumerate(self._actors)}
+        self._actors: list[Any] = [None] * size
+        self._starting: dict[int, Any] = {}
         self._load = [0] * size
+        for k in range(size):
+            self._start(k)
 
     def hand_out(self, source: Iterator[Condition]) -> None:
         """Give every actor that is up as much as it may have; wait for one if none is."""
@@ -140,6 +142,10 @@ class _Crew:
         for actor in self._actors:
             self._ray.kill(actor)
 
+    def _start(self, k: int) -> None:
+        self._actors[k], self._load[k] = self._make(), 0
+        self._starting[k] = self._actors[k].ready.remote()
+
     def _give(self, attempt: _Attempt, k: int, *, alone: bool = False) -> None:
         self._load[k] += 1
         attempt.actor, attempt.alone, attempt.reference = k, alone, self._actors[k].attempt.remote(attempt.condition)
@@ -155,8 +161,7 @@ class _Crew:
     def _replace(self, k: int) -> None:
         """Put another actor in the place of one that fell or hangs; what it had waits."""
         self._ray.kill(self._actors[k])
-        self._actors[k], self._load[k] = self._make(), 0
-        self._starting[k] = self._actors[k].ready.remote()
+        self._start(k)
         for attempt in self.running:
             if attempt.actor == k:
                 attempt.actor = None
@@ -201,8 +206,7 @@ class _Crew:
                 del self._starting[k]
             except self._ray.exceptions.RayError as error:
                 problem = str(error).strip().splitlines()[-1]
-                self._actors[k] = self._make()
-                self._starting[k] = self._actors[k].ready.remote()
+                self._start(k)
                 time.sleep(0.1)
         return problem
 
