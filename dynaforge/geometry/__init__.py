@@ -4,8 +4,10 @@ from dynaforge.geometry.pose import (
     Array,
     Pose,
     matrix_from_quat,
+    matrix_from_rotation_6d,
     matrix_from_rotvec,
     quat_from_matrix,
+    rotation_6d_from_matrix,
     rotation_z,
     rotvec_from_matrix,
 )
@@ -16,8 +18,10 @@ __all__ = [
     "JointTrajectory",
     "Pose",
     "matrix_from_quat",
+    "matrix_from_rotation_6d",
     "matrix_from_rotvec",
     "quat_from_matrix",
+    "rotation_6d_from_matrix",
     "rotation_z",
     "rotvec_from_matrix",
 ]

@@ -112,6 +112,35 @@ def rotvec_from_matrix(rotation: Array) -> Array:
     return np.array((scale * x, scale * y, scale * z))
 
 
+def rotation_6d_from_matrix(rotation: Array) -> Array:
+    """Return the first two columns of a rotation matrix, shape (3, 3), one after the other, shape (6,).
+
+    Unlike quaternions and rotation vectors these six numbers are continuous: none of them jumps near a half turn.
+    """
+    return np.concatenate((rotation[:, 0], rotation[:, 1]))
+
+
+def matrix_from_rotation_6d(columns: ArrayLike) -> Array:
+    """Return the rotation matrix, shape (3, 3), whose first two columns are nearest to the six numbers given.
+
+    Gram-Schmidt: the first column keeps its direction, the second what of it is perpendicular, the third completes them.
+
+    Args:
+        columns: First column, then second, of any positive length and not parallel, shape (6,).
+
+    Raises:
+        ValueError: They span no plane, so that they mean no rotation.
+    """
+    x, second = np.asarray(columns, dtype=np.float64).reshape(2, 3)
+    lengths = np.linalg.norm(x), np.linalg.norm(second)
+    if not np.linalg.norm(np.cross(x, second)) > 1e-8 * lengths[0] * lengths[1]:
+        raise ValueError(f"Six numbers of a rotation are two columns, neither zero nor parallel; given {columns}.")
+    x = x / lengths[0]
+    y = second - (x @ second) * x
+    y = y / np.linalg.norm(y)
+    return np.column_stack((x, y, np.cross(x, y)))
+
+
 def rotation_z(angle: float) -> Array:
     """Rotation about z by `angle` radians, shape (3, 3)."""
     c, s = math.cos(angle), math.sin(angle)

@@ -11,8 +11,10 @@ from dynaforge.geometry import (
     JointTrajectory,
     Pose,
     matrix_from_quat,
+    matrix_from_rotation_6d,
     matrix_from_rotvec,
     quat_from_matrix,
+    rotation_6d_from_matrix,
     rotation_z,
     rotvec_from_matrix,
 )
@@ -99,3 +101,24 @@ def test_a_trajectory_lasts_from_first_to_last_sample() -> None:
     trajectory = JointTrajectory(0.1, samples, samples, samples)
     assert len(trajectory) == 4
     assert trajectory.duration == pytest.approx(0.3)
+
+
+def test_six_numbers_give_the_rotation_back_from_any_length_and_lean(rng: np.random.Generator) -> None:
+    for _ in range(20):
+        rotation = random_pose(rng).rotation
+        six = rotation_6d_from_matrix(rotation)
+        np.testing.assert_array_equal(six, (*rotation[:, 0], *rotation[:, 1]))
+        np.testing.assert_allclose(matrix_from_rotation_6d(six), rotation, atol=1e-12)
+        leaning = np.concatenate((3.0 * six[:3], 0.2 * six[3:] + 0.7 * six[:3]))
+        np.testing.assert_allclose(matrix_from_rotation_6d(leaning), rotation, atol=1e-12)
+
+
+def test_six_numbers_do_not_jump_at_a_half_turn() -> None:
+    before, after = (rotation_6d_from_matrix(rotation_z(math.pi + turn)) for turn in (-1e-6, 1e-6))
+    np.testing.assert_allclose(before, after, atol=1e-5)
+
+
+@pytest.mark.parametrize("six", [(0, 0, 0, 0, 1, 0), (1, 0, 0, 0, 0, 0), (1, 2, 0, 2, 4, 0), (math.nan,) * 6])
+def test_six_numbers_that_span_no_plane_are_refused(six: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="neither zero nor parallel"):
+        matrix_from_rotation_6d(six)
