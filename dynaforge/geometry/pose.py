@@ -123,7 +123,7 @@ def rotation_6d_from_matrix(rotation: Array) -> Array:
 def matrix_from_rotation_6d(columns: ArrayLike) -> Array:
     """Return the rotation matrix, shape (3, 3), whose first two columns are nearest to the six numbers given.
 
-    Gram-Schmidt: the first column keeps its direction, the second what of it is perpendicular, the third completes them.
+    Gram-Schmidt: the first column keeps its direction, the second what of it is perpendicular, the third completes it.
 
     Args:
         columns: First column, then second, of any positive length and not parallel, shape (6,).
@@ -134,7 +134,7 @@ def matrix_from_rotation_6d(columns: ArrayLike) -> Array:
     x, second = np.asarray(columns, dtype=np.float64).reshape(2, 3)
     lengths = np.linalg.norm(x), np.linalg.norm(second)
     if not np.linalg.norm(np.cross(x, second)) > 1e-8 * lengths[0] * lengths[1]:
-        raise ValueError(f"Six numbers of a rotation are two columns, neither zero nor parallel; given {columns}.")
+        raise ValueError(f"Six numbers of a rotation are two columns, neither zero nor parallel; given {columns!r}.")
     x = x / lengths[0]
     y = second - (x @ second) * x
     y = y / np.linalg.norm(y)
