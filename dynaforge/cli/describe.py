@@ -48,10 +48,11 @@ def description(task: Task) -> str:
         lines.append(f"| {phase.name} | {phase.mode} | {gate} | {phase.timeout:g} s | {reasons} |")
     always = ", ".join(dict.fromkeys(reason for reason, _ in task.endings))
     lines += ["", f"In every phase it may fail with: {always}.", ""]
-    lines += ["| condition | from | to |", "|---|---|---|"]
+    lines += ["| condition | from | to | unit |", "|---|---|---|---|"]
     for name, (low, high) in task.conditions.ranges.items():
         mark = " (difficulty)" if name == task.conditions.difficulty else ""
-        lines.append(f"| {name}{mark} | {low:.4g} | {high:.4g} |")
+        unit = task.conditions.units.get(name, "")
+        lines.append(f"| {name}{mark} | {low:.4g} | {high:.4g} | {unit or '-'} |")
     scales = ", ".join(f"{value:g}" for value in task.residual.scales)
     lines += ["", f"Residual scales (x, y, z in m; rotation x, y, z in rad; width in m): {scales};"]
     lines.append(f"{task.residual.frame} frame, one decision every {task.residual.decision_steps} control steps.")

@@ -37,7 +37,10 @@ CONDITIONS = ConditionSpace(
         "centre_x": (0.45, 0.51),
         "centre_y": (-0.08, 0.08),
     },
-)
+    units={
+        "speed": "m/s", "radius": "m", "angle": "rad", "centre_x": "m", "centre_y": "m",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Placement]:

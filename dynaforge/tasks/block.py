@@ -65,7 +65,11 @@ CONDITIONS = ConditionSpace(
         # A block of balsa to one of hardwood, kg.
         "mass": (0.04, 0.12),
     },
-)
+    units={
+        "speed": "m/s", "tray_phase": "rad", "tray_yaw": "rad", "tray_spin": "rad/s", "pad_speed": "m/s",
+        "pad_phase": "rad", "pad_yaw": "rad", "offset_x": "m", "offset_y": "m", "yaw": "rad", "mass": "kg",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:

@@ -38,7 +38,10 @@ CONDITIONS = ConditionSpace(
         "mass": (0.1, 0.4),
         "roll": (0.0, 2 * math.pi),
     },
-)
+    units={
+        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg", "roll": "rad",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch]:

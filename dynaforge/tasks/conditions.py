@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -23,17 +23,25 @@ class ConditionSpace:
         task: Task name.
         difficulty: The field that is the nominal difficulty; strata divide its range evenly.
         ranges: Field name to (low, high), SI units.
+        units: Field name to its unit, for people who read it; no entry for a plain number such as a side.
+
+    Raises:
+        ValueError: A unit is given for a field that has no range.
     """
 
     task: str
     difficulty: str
     ranges: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if unknown := sorted(set(self.units) - set(self.ranges)):
+            raise ValueError(f"Units are given for {unknown}, which are no fields; there are {sorted(self.ranges)}.")
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
+        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ConditionSpace, (self.task, self.difficulty, dict(self.ranges))
+        return ConditionSpace, (self.task, self.difficulty, dict(self.ranges), dict(self.units))
 
     @property
     def difficulty_range(self) -> tuple[float, float]:

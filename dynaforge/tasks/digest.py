@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dynaforge.sim.spec import asset_path
+from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.task import Task
 
 _known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept, so that its id stays its own
@@ -20,7 +21,8 @@ _known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept, so that its
 def task_digest(task: Task) -> str:
     """Return 16 hex digits over everything that defines the task: data, the code of its functions, its URDFs.
 
-    Camera and sentences do not count; the vocabulary's own code does not either, the package version stands for it.
+    Camera, sentences and units do not count, since they only describe; the vocabulary's own code does not either, the
+    package version stands for it.
     """
     if id(task) not in _known:
         digest = hashlib.sha256()
@@ -30,7 +32,10 @@ def task_digest(task: Task) -> str:
     return _known[id(task)][1]
 
 
-_APART = ("camera", "motion", "randomisation", "goal", "skill", "env_name")
+_APART: dict[type, tuple[str, ...]] = {
+    Task: ("camera", "motion", "randomisation", "goal", "skill", "env_name"),
+    ConditionSpace: ("units",),
+}
 
 
 def _parts(name: str, value: Any) -> Iterator[bytes]:
@@ -38,7 +43,7 @@ def _parts(name: str, value: Any) -> Iterator[bytes]:
     if is_dataclass(value) and not isinstance(value, type):
         yield type(value).__name__.encode()
         for f in fields(value):
-            if not (isinstance(value, Task) and f.name in _APART):
+            if f.name not in _APART.get(type(value), ()):
                 yield from _parts(f.name, getattr(value, f.name))
     elif isinstance(value, Enum):
         yield value.name.encode()

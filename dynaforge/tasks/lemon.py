@@ -39,7 +39,10 @@ CONDITIONS = ConditionSpace(
         # A small to a large lemon, kg.
         "mass": (0.06, 0.15),
     },
-)
+    units={
+        "speed": "m/s", "offset": "m", "edge_x": "m", "edge_y": "m", "edge_z": "m", "yaw": "rad", "mass": "kg",
+    },
+)  # fmt: skip
 
 
 def run_up(speed: float) -> float:

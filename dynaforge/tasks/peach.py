@@ -60,7 +60,11 @@ CONDITIONS = ConditionSpace(
         "bowl_phase": (-math.pi, math.pi),
         "bowl_yaw": (-math.pi / 2, math.pi / 2),
     },
-)
+    units={
+        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg",
+        "bowl_speed": "m/s", "bowl_phase": "rad", "bowl_yaw": "rad",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:

@@ -54,7 +54,10 @@ CONDITIONS = ConditionSpace(
         # Hard wood to aluminium, kg.
         "mass": (0.03, 0.08),
     },
-)
+    units={
+        "speed": "m/s", "phase": "rad", "rack_x": "m", "rack_y": "m", "hole_x": "m", "hole_y": "m", "mass": "kg",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:

@@ -55,7 +55,11 @@ CONDITIONS = ConditionSpace(
         # A plastic to a metal pen, kg.
         "mass": (0.03, 0.06),
     },
-)
+    units={
+        "speed": "m/s", "phase": "rad", "yaw": "rad", "rack_x": "m", "rack_y": "m", "holder_x": "m", "holder_y": "m",
+        "mass": "kg",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:

@@ -44,7 +44,10 @@ CONDITIONS = ConditionSpace(
         # Of the body without its wheels, from plastic to die-cast metal, kg.
         "mass": (0.1, 0.3),
     },
-)
+    units={
+        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg",
+    },
+)  # fmt: skip
 
 
 def launch(condition: Condition) -> Mapping[str, Launch]:

@@ -121,3 +121,14 @@ def test_reset_kwargs_are_what_reset_takes() -> None:
 @pytest.mark.parametrize("space", SPACES, ids=TASK_NAMES)
 def test_a_condition_space_survives_pickling(space: ConditionSpace) -> None:
     assert pickle.loads(pickle.dumps(space)) == space
+
+
+def test_units_are_those_of_fields_and_travel_along() -> None:
+    space = ConditionSpace("toy", "speed", {"speed": (0.0, 8.0)}, units={"speed": "m/s"})
+    assert pickle.loads(pickle.dumps(space)).units == {"speed": "m/s"}
+    with pytest.raises(ValueError, match=r"Units are given for \['sped'\].*there are \['speed'\]"):
+        replace(space, units={"sped": "m/s"})
+
+
+def test_every_difficulty_of_the_package_has_a_unit() -> None:
+    assert all(space.units[space.difficulty] for space in SPACES)

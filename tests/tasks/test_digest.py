@@ -25,6 +25,8 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
     assert task_digest(replace(CAN, scene=replace(CAN.scene, physics_dt=1 / 480))) != task_digest(CAN)
     assert task_digest(replace(CAN, scene=replace(CAN.scene, launch=lambda c: {}))) != task_digest(CAN)
     assert task_digest(replace(CAN, motion="It rolls.", camera=((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)))) == task_digest(CAN)
+    assert CAN.conditions.units
+    assert task_digest(replace(CAN, conditions=replace(CAN.conditions, units={}))) == task_digest(CAN)
 
 
 def test_the_phase_that_plans_contact() -> None:
