@@ -25,11 +25,14 @@ def blocks(language: str, page: str = "add_a_task.md") -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(), re.DOTALL)
 
 
+BALL = "\n\n".join(blocks("python"))
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Hold the files that the page shows; forget the task they make afterwards."""
     (tmp_path / "ball.urdf").write_text("\n".join(blocks("xml")))
-    (tmp_path / "ball.py").write_text("\n\n".join(blocks("python")))
+    (tmp_path / "ball.py").write_text(BALL)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield tmp_path
@@ -75,14 +78,31 @@ def _rng(seed: int):
         (None, "No task file"),
         ("TASK = 1", "must define TASK"),
         ("from dynaforge.tasks.can import TASK", "is that of a task of the package"),
+        ("import numpy\nTASK = (1,\n", r"mine_\w+\.py, line 2: '\(' was never closed\.$"),
+        ("import numpy\n\nTASK = numpy.zeroes(3)", r"mine_\w+\.py, line 3: AttributeError: .*zeroes"),
+        ("def launch():\n    raise ValueError('no\\nwind')\nlaunch()", r"mine_\w+\.py, line 2: no wind$"),
+        ("open('absent.txt')", r"mine_\w+\.py, line 1: .*absent\.txt"),
+        ("import sys\nsys.exit(3)", r"mine_\w+\.py, line 2: the file ends the program"),
+        ("import abcent", r"mine_\w+\.py, line 1: ModuleNotFoundError: No module named 'abcent'"),
+        (BALL.replace('env_name="Ball"', 'env_name="Can"'), "of another task"),
     ],
 )
-def test_a_file_that_is_no_task_is_refused(folder: Path, text: str | None, message: str) -> None:
+def test_a_file_that_is_no_task_is_refused_in_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str | None, message: str
+) -> None:
     name = f"mine_{abs(hash(message))}.py"
     if text is not None:
         (folder / name).write_text(text)
     with pytest.raises(ValueError, match=message):
         get_task(name)
+    assert main(["describe", name]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_file_whose_name_cannot_be_imported_is_refused(folder: Path) -> None:
+    (folder / "my.ball.py").write_text("")
+    with pytest.raises(ValueError, match=r"call it my_ball\.py"):
+        get_task("my.ball.py")
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)
