@@ -38,8 +38,8 @@ def description(task: Task) -> str:
     """Return a page about a task, Markdown, made from its data alone."""
     lines = [f"# {task.env_name}: {task.skill}", "", f"Env id `{env_id(task.name)}`.", ""]
     lines += [f"**Motion.** {task.motion}", "", f"**Randomisation.** {task.randomisation}", ""]
-    lines += [f"**Success.** {task.goal}", "", "| phase | mode | residual | timeout | fails with |"]
-    lines.append("|---|---|---|---|---|")
+    lines += [f"**Success.** {task.goal}", "", f"**In words.** {task.instruction}", ""]
+    lines += ["| phase | mode | residual | timeout | fails with |", "|---|---|---|---|---|"]
     for phase in task.phases:
         gate = (
             f"x {phase.residual_share:g}" if phase.gate and phase.residual_share != 1 else "on" if phase.gate else "-"

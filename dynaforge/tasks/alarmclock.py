@@ -58,6 +58,7 @@ TASK = Task(
     motion="An alarm clock rides on a turntable, its button at 0.05 to 0.5 m/s on a circle.",
     randomisation="Speed, radius 8 to 12 cm, sense of turning, angle at the start, place of the turntable.",
     goal="The button is pressed in by 5 mm by the closed fingertips, their axis within its radius of 8 mm.",
+    instruction="press the button of the moving alarm clock",
     scene=SceneSpec(
         bodies=(),
         launch=launch,

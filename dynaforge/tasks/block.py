@@ -103,6 +103,7 @@ TASK = Task(
     motion="A block rides on a tray that slides to and fro or goes round at 0.05 to 0.4 m/s; the pad moves likewise.",
     randomisation="Kind, speed, phase and direction of both motions, side, the block's place on the tray, its mass.",
     goal="The block stands on the pad within 25 mm of its middle, released and at rest relative to it, for 0.25 s.",
+    instruction="pick up the block from the moving tray and place it on the moving pad",
     scene=SceneSpec(
         # Painted wood. At 0.8 a block that stands askew between the fingers jams there, and does not turn flat to them.
         bodies=(BodySpec("block", "block/block.urdf", lateral_friction=0.5),),

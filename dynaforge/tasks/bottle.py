@@ -81,6 +81,7 @@ TASK = Task(
     motion="A tapered bottle is launched rolling in a curve at 0.05 to 1.2 m/s and afterwards moved by physics alone.",
     randomisation="Speed, side, heading within 20 degrees, circle, launch distance, mass 0.15 to 0.4 kg, roll angle.",
     goal="The bottle is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    instruction="pick up the rolling bottle",
     scene=SceneSpec(bodies=(BodySpec("bottle", "bottle/bottle.urdf"),), launch=launch),
     conditions=CONDITIONS,
     phases=(

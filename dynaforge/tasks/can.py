@@ -63,6 +63,7 @@ TASK = Task(
     motion="A can is launched rolling without slip at 0.05 to 1.5 m/s and afterwards moved by physics alone.",
     randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.4 kg, roll angle.",
     goal="The can is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    instruction="pick up the rolling can",
     scene=SceneSpec(bodies=(BodySpec("can", "can/can.urdf"),), launch=launch),
     conditions=CONDITIONS,
     phases=(

@@ -33,7 +33,7 @@ def task_digest(task: Task) -> str:
 
 
 _APART: dict[type, tuple[str, ...]] = {
-    Task: ("camera", "motion", "randomisation", "goal", "skill", "env_name"),
+    Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name"),
     ConditionSpace: ("units",),
 }
 

@@ -79,6 +79,7 @@ TASK = Task(
     motion="A lemon rolls down a ramp and off a ledge 0.3 m high, at 0.3 to 1.5 m/s at the edge.",
     randomisation="Speed, lateral offset within 3 cm, place, height and yaw of the ledge, mass 60 to 150 g.",
     goal="The lemon is between the closed fingers for 0.5 s, and was on neither table nor floor before.",
+    instruction="catch the falling lemon",
     scene=SceneSpec(
         bodies=(BodySpec("lemon", "lemon/lemon.urdf"),),
         launch=launch,

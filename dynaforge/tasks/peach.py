@@ -97,6 +97,7 @@ TASK = Task(
     motion="A peach is launched rolling at 0.05 to 0.8 m/s; a bowl slides to and fro or turns at up to 0.25 m/s.",
     randomisation="Speed, side, heading, line, launch distance, mass; the bowl's kind of motion, speed, phase and yaw.",
     goal="The peach lies in the bowl, released and at rest relative to it, for 0.25 s.",
+    instruction="pick up the rolling peach and put it into the moving bowl",
     scene=SceneSpec(
         bodies=(BodySpec("peach", "peach/peach.urdf"),),
         # The bowl is lined: on bare glaze the peach would roll to and fro for seconds.

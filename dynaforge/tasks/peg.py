@@ -87,6 +87,7 @@ TASK = Task(
     motion="A hole turns on an arm at 0.01 to 0.15 m/s; the peg rests in a rack.",
     randomisation="The hole's speed, sense of turning, start, place and clearance; the rack's place; the peg's mass.",
     goal="The peg is at 60 % of the hole's depth or more and released, for 0.25 s.",
+    instruction="insert the peg into the moving hole",
     scene=SceneSpec(
         bodies=(BodySpec("peg", "peg/peg.urdf", lateral_friction=0.5),),
         fixtures=(

@@ -100,6 +100,8 @@ class Task:
         impossible: (reason, predicate) pairs: once one holds, success is impossible and the episode fails at once.
         residual: Scales and frame of the residual.
         camera: (eye, look-at) of the default camera, metres.
+        instruction: What to do, as one would tell a language model, e.g. "pick up the rolling can"; by default made of
+            the skill and the object.
     """
 
     name: str
@@ -114,6 +116,12 @@ class Task:
     impossible: tuple[tuple[str, Predicate], ...]
     residual: ResidualSpec = field(default_factory=ResidualSpec)
     camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.2, -0.4, 0.62), (0.4, -0.02, 0.14))
+    instruction: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.instruction and self.scene.tracked:
+            words = f"{self.skill.replace(' + ', ' and ')} the {self.manipulated.replace('_', ' ')}"
+            object.__setattr__(self, "instruction", words)
 
     @property
     def manipulated(self) -> str:

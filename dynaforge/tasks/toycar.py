@@ -65,6 +65,7 @@ TASK = Task(
     motion="A toy car is launched at 0.05 to 1.0 m/s, its wheels rolling, and afterwards coasts by physics alone.",
     randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.3 kg.",
     goal="The car is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    instruction="pick up the moving toy car",
     scene=SceneSpec(
         bodies=(BodySpec("toycar", "toycar/toycar.urdf", rolling_friction=ROLLING_FRICTION),), launch=launch
     ),

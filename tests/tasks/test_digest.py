@@ -27,6 +27,14 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
     assert task_digest(replace(CAN, motion="It rolls.", camera=((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)))) == task_digest(CAN)
     assert CAN.conditions.units
     assert task_digest(replace(CAN, conditions=replace(CAN.conditions, units={}))) == task_digest(CAN)
+    assert task_digest(replace(CAN, instruction="catch it")) == task_digest(CAN)
+
+
+def test_every_task_says_in_words_what_to_do_and_one_of_ones_own_by_default() -> None:
+    told = [get_task(name).instruction for name in TASK_NAMES]
+    assert "pick up the rolling can" in told
+    assert len(set(told)) == len(TASK_NAMES)
+    assert replace(get_task("peg"), instruction="").instruction == "grasp and insert the peg"
 
 
 def test_the_phase_that_plans_contact() -> None:
