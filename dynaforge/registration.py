@@ -17,6 +17,9 @@ ENV_NAMES = {
 }
 """Task name to its name in env ids."""
 
+TASK_FILES: dict[str, str] = {}
+"""Path of the file of each task that is not one of the package."""
+
 
 def env_id(task: str) -> str:
     """Return the residual env's id of a task, e.g. "DynaForge/Can-v0".
@@ -27,6 +30,20 @@ def env_id(task: str) -> str:
     if task not in ENV_NAMES:
         raise ValueError(f"No env for task {task!r}; known tasks are {', '.join(ENV_NAMES)}.")
     return f"DynaForge/{ENV_NAMES[task]}-v0"
+
+
+def env_ids(task: str) -> tuple[str, str]:
+    """Return both ids of a task: of its residual env and of the one with absolute actions."""
+    return env_id(task), f"DynaForge/{ENV_NAMES[task]}Task-v0"
+
+
+def task_named(given: str) -> str | None:
+    """Return the registered task that a name or an env id means, in whatever case; None if there is none."""
+    bare = given.removeprefix("dynaforge:").lower()
+    for name in ENV_NAMES:
+        if bare in (text.lower() for text in (name, *env_ids(name))):
+            return name
+    return None
 
 
 def register_envs() -> None:
@@ -44,5 +61,8 @@ def register_task(name: str, env_name: str, source: str) -> None:
         source: What the envs are made from: the name of a task of the package, or the path of a task file.
     """
     ENV_NAMES[name] = env_name
-    register(f"DynaForge/{env_name}-v0", "dynaforge.envs.residual_env:ResidualEnv", kwargs={"task": source})
-    register(f"DynaForge/{env_name}Task-v0", "dynaforge.envs.task_env:TaskEnv", kwargs={"task": source})
+    if source != name:
+        TASK_FILES[name] = source
+    residual, absolute = env_ids(name)
+    register(residual, "dynaforge.envs.residual_env:ResidualEnv", kwargs={"task": source})
+    register(absolute, "dynaforge.envs.task_env:TaskEnv", kwargs={"task": source})

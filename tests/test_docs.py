@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import gymnasium
@@ -15,7 +14,6 @@ from dynaforge.algos import FrontierGRPO
 from dynaforge.cli.describe import page_with_picture
 from dynaforge.cli.main import main
 from dynaforge.demos import schema_markdown
-from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import TASK_NAMES, get_task
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -29,17 +27,9 @@ BALL = "\n\n".join(blocks("python"))
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Hold the files that the page shows; forget the task they make afterwards."""
-    (tmp_path / "ball.urdf").write_text("\n".join(blocks("xml")))
-    (tmp_path / "ball.py").write_text(BALL)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    yield tmp_path
-    sys.modules.pop("ball", None)
-    ENV_NAMES.pop("ball", None)
-    for name in ("DynaForge/Ball-v0", "DynaForge/BallTask-v0"):
-        gymnasium.registry.pop(name, None)
+def folder(ball: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(ball.parent)
+    return ball.parent
 
 
 def test_the_page_on_adding_a_task_makes_one_that_works(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

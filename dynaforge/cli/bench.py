@@ -23,9 +23,10 @@ from dynaforge.cli.bench_limits import finger_speed, global_planner
 from dynaforge.cli.bench_speed import control_rate, scene_reset
 from dynaforge.cli.bench_training import collection, trainer
 from dynaforge.cli.bench_vector import vectorised, worker_killed
+from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write, check_writable
-from dynaforge.tasks import TASK_NAMES, Task, get_task
+from dynaforge.tasks import Task
 
 QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs
 
@@ -55,7 +56,7 @@ LONG = frozenset({"demonstrations"})
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `bench`."""
-    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
+    add_task_argument(parser, "--task", several=True)
     listed = ", ".join(f"{name} (if named, minutes)" if name in LONG else name for name in MEASUREMENTS)
     parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {listed}")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
@@ -71,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         ValueError: An unknown name, no rounds, an unknown task.
         OSError: `--out` cannot be written.
     """
-    tasks = [get_task(name) for name in (TASK_NAMES if options.task == ["all"] else options.task)]
+    tasks = chosen_tasks(options)
     chosen = _chosen(options.only)
     if options.rounds < 1:
         raise ValueError(f"--rounds is {options.rounds}; it must be at least 1.")

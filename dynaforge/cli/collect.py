@@ -9,17 +9,17 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynaforge.cli.evaluate import make_generator
+from dynaforge.cli.task_arguments import add_task_argument, chosen_task
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.generators import Goal, Source, collect, run_attempts
 from dynaforge.generators.ray_engine import run_attempts_on_ray
-from dynaforge.tasks import TASK_NAMES, get_task
 
 GENERATORS = ("residual", "planner_only")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `collect`."""
-    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
+    add_task_argument(parser, "--task")
     parser.add_argument("--demos", type=int, help="stop after so many successes (default 50, without --attempts)")
     parser.add_argument("--attempts", type=int, help="stop after so many attempts, successful or not")
     parser.add_argument("--generator", default="residual", choices=GENERATORS, help="what attempts")
@@ -55,7 +55,7 @@ def shard(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> int:
     """Collect what is missing."""
     goal = _goal(options)
-    task = get_task(options.task)
+    task = chosen_task(options)
     generator = make_generator(options.generator, task, options)
     out = options.out or Path("data") / task.name
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)

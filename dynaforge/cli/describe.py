@@ -6,6 +6,7 @@ import argparse
 from itertools import islice
 from pathlib import Path
 
+from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
 from dynaforge.demos import atomic_write
 from dynaforge.registration import env_id
 from dynaforge.tasks import TASK_NAMES, Task, get_task
@@ -14,7 +15,7 @@ from dynaforge.tasks import TASK_NAMES, Task, get_task
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `list` or `describe`."""
     if command == "describe":
-        parser.add_argument("task", help=f"one of {', '.join(TASK_NAMES)}; all; a task file")
+        add_task_argument(parser, "task")
         parser.add_argument(
             "--out", type=Path, help="folder for the page and a picture of the skill; with all, a contact sheet too"
         )
@@ -27,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
             task = get_task(name)
             print(f"{name:<12} {env_id(name):<24} {task.skill:<16} {task.goal}")
         return 0
-    tasks = [get_task(name) for name in (TASK_NAMES if options.task == "all" else [options.task])]
+    tasks = chosen_tasks(options)
     if options.out is not None:
         return _write(tasks, options.out)
     print("\n\n".join(description(task) for task in tasks))

@@ -13,12 +13,13 @@ from typing import Any
 
 from tqdm import tqdm
 
+from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.generators import Exploring, Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
 from dynaforge.sim.spec import asset_path
-from dynaforge.tasks import STREAMS, TASK_NAMES, Task, get_task
+from dynaforge.tasks import STREAMS, Task
 
 GENERATORS = ("planner_only", "residual", "exploring", "oracle")
 BINS = 8
@@ -26,7 +27,7 @@ BINS = 8
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `evaluate`."""
-    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
+    add_task_argument(parser, "--task", several=True)
     parser.add_argument("--generator", nargs="+", default=["planner_only"], help=f"of {', '.join(GENERATORS)}")
     parser.add_argument("--policy", type=Path, help="policy file, for the generator residual; default: the shipped one")
     parser.add_argument("--stream", default="val", choices=STREAMS, help="choose on val, report on test")
@@ -45,8 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Measure, print and store."""
-    names = TASK_NAMES if options.task == ["all"] else options.task
-    tasks = [get_task(name) for name in names]
+    tasks = chosen_tasks(options)
     crews = [[make_generator(name, task, options) for name in options.generator] for task in tasks]
     out = options.out or Path("runs/evaluate") / f"{'+'.join(options.generator)}-{options.stream}.json"
     table: dict[str, list[DgrReport]] = {}

@@ -20,6 +20,7 @@ from tqdm import tqdm
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import training
 from dynaforge.cli.film import film_clips
+from dynaforge.cli.task_arguments import add_task_argument, chosen_task
 from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
@@ -41,7 +42,7 @@ from dynaforge.reports import (
     write_report,
 )
 from dynaforge.sim import Condition
-from dynaforge.tasks import TASK_NAMES, Task, get_task
+from dynaforge.tasks import Task
 
 SAVED_EVERY = 10  # updates: what a kill may cost of the policy
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
@@ -49,7 +50,7 @@ MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `forge`."""
-    parser.add_argument("--task", default="can", help=f"one of {', '.join(TASK_NAMES)}, or a task file")
+    add_task_argument(parser, "--task")
     parser.add_argument(
         "--budget", type=minutes, default="13m", help="wall time for everything: 90s, 10m, 1.5h, or minutes"
     )
@@ -96,7 +97,7 @@ def make_folder(folder: Path) -> None:
 def run(options: argparse.Namespace) -> int:
     """Forge demonstrations; see the module's description."""
     started = time.monotonic()
-    task = get_task(options.task)
+    task = chosen_task(options)
     if options.residual_frame is not None:
         task = replace(task, residual=replace(task.residual, frame=options.residual_frame))
     _check(options)

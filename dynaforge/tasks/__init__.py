@@ -3,82 +3,71 @@
 from __future__ import annotations
 
 import difflib
-import sys
-import traceback
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
-from dynaforge.registration import ENV_NAMES, register_task
+from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+from dynaforge.tasks.task_file import task_of_file
 
-__all__ = ["STREAMS", "TASK_NAMES", "ConditionSpace", "Mode", "Phase", "ResidualSpec", "Task", "get_task"]
+__all__ = [
+    "STREAMS",
+    "TASK_NAMES",
+    "ConditionSpace",
+    "Mode",
+    "Phase",
+    "ResidualSpec",
+    "Task",
+    "get_task",
+    "task_source",
+]
 
-TASK_NAMES = tuple(ENV_NAMES)
-"""Every task: a module of this package with a `TASK`."""
+TASK_NAMES = tuple(name for name in ENV_NAMES if name not in TASK_FILES)
+"""Every task of the package: a module here with a `TASK`."""
 
 
-def get_task(name: str) -> Task:
-    """Return the task of that name, or the `TASK` of a file such as "ball.py".
+def get_task(given: str) -> Task:
+    """Return a task by its name, by the id of one of its envs, or by its file such as "ball.py".
 
-    A task file is imported as a module of its own name, so that workers find it too, and its envs are registered.
+    A task file is imported as a module of its own name, so that workers find it too, and its envs are registered: from
+    then on the task's name and ids stand for the file, here and in processes that are started later. Importing runs
+    the code in it, so never pass a path that was read from somebody's data.
+
+    Args:
+        given: "can", "DynaForge/Can-v0", "DynaForge/CanTask-v0", either with "dynaforge:" before it, in whatever case;
+            or a path that ends in ".py".
 
     Raises:
         ValueError: No such task; a close match is named. Or the file holds none, cannot be run, or its name is taken.
     """
-    if not isinstance(name, str):
-        raise ValueError(f"No task {name!r}: give a task's name, such as 'can', or a task file, such as 'ball.py'.")
-    if name.endswith(".py"):
-        return _task_of_file(Path(name).resolve())
-    if name not in TASK_NAMES:
-        close = difflib.get_close_matches(name, TASK_NAMES, n=1)
-        hint = f"Did you mean {close[0]!r}?" if close else f"Known are {', '.join(TASK_NAMES)}."
-        raise ValueError(f"No task {name!r}. {hint}")
+    if not isinstance(given, str):
+        raise ValueError(f"No task {given!r}: give a task's name, such as 'can', or a task file, such as 'ball.py'.")
+    if given.endswith(".py"):
+        return task_of_file(Path(given).resolve())
+    name = task_named(given)
+    if name is None:
+        raise ValueError(f"No task {given!r}. {_hint(given)}")
+    if name in TASK_FILES:
+        return task_of_file(Path(TASK_FILES[name]))
     task: Task = import_module(f"dynaforge.tasks.{name}").TASK
     return task
 
 
-def _task_of_file(path: Path) -> Task:
-    if not path.is_file():
-        raise ValueError(f"No task file {str(path)!r}.")
-    if "." in path.stem:
-        raise ValueError(
-            f"{path}: Python imports no file with a dot in its name; call it {path.stem.replace('.', '_')}.py."
-        )
-    if (known := sys.modules.get(path.stem)) is not None and getattr(known, "__file__", None) != str(path):
-        raise ValueError(f"{path.name}: a module {path.stem!r} exists already; give the file another name.")
-    if str(path.parent) not in sys.path:
-        sys.path.insert(0, str(path.parent))
-    task = getattr(_module_of_file(path), "TASK", None)
-    if not isinstance(task, Task) or task.conditions.task != task.name:
-        raise ValueError(f"{path} must define TASK, a Task whose conditions belong to it (ConditionSpace.task).")
-    if task.name in TASK_NAMES:
-        raise ValueError(f"{path}: the name {task.name!r} is that of a task of the package; choose another.")
-    if task.name not in ENV_NAMES:
-        if task.env_name in ENV_NAMES.values():
-            raise ValueError(f"{path}: the env_name {task.env_name!r} is that of another task; choose another.")
-        register_task(task.name, task.env_name, str(path))
-    return task
+def task_source(task: Task) -> str:
+    """Return what names a task in any process, for `get_task` and `TaskEnv`: its name, or the path of its file."""
+    return TASK_FILES.get(task.name, task.name)
 
 
-def _module_of_file(path: Path) -> ModuleType:
-    """Import a task file; whatever its code raises becomes one line with the file, the line and the reason."""
-    try:
-        return import_module(path.stem)
-    except SyntaxError as error:
-        line = f", line {error.lineno}" if error.lineno else ""
-        raise ValueError(f"{error.filename or path}{line}: {error.msg}.") from error
-    except (Exception, SystemExit) as error:  # a user's file may raise anything, and must not end the command
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        place = f"{path}, line {lines[-1]}" if lines else str(path)
-        raise ValueError(f"{place}: {_in_one_line(error)}") from error
-
-
-def _in_one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split())
-    if isinstance(error, SystemExit):
-        return f"the file ends the program (SystemExit {text}); a task file only defines TASK."
-    if isinstance(error, (ValueError, OSError)) and text:
-        return text
-    return f"{type(error).__name__}: {text}".removesuffix(": ")
+def _hint(given: str) -> str:
+    """Say what may have been meant by a task that does not exist."""
+    known = {text.lower(): text for name in ENV_NAMES for text in (name, *env_ids(name))}
+    bare = given.removeprefix("dynaforge:").lower()
+    stem = bare.removeprefix("dynaforge/").removesuffix("-v0")
+    files = [name for name in (f"{stem}.py", f"{stem.removesuffix('task')}.py") if Path(name).is_file()]
+    if files:
+        return f"If you mean the task of {files[0]}, give that file in its place."
+    close = difflib.get_close_matches(bare, known, n=1)
+    if close:
+        return f"Did you mean {known[close[0]]!r}?"
+    return f"Known are {', '.join(ENV_NAMES)}, the ids of their envs, and files such as ball.py."

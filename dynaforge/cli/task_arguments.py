@@ -1,0 +1,50 @@
+"""The one way in which commands are told tasks: by name, by env id, or by file."""
+
+from __future__ import annotations
+
+import argparse
+
+from dynaforge.tasks import TASK_NAMES, Task, get_task
+
+
+def add_task_argument(
+    parser: argparse.ArgumentParser, *flags: str, several: bool = False, default: str | None = "can"
+) -> None:
+    """Add the argument that `chosen_tasks` or `chosen_task` reads.
+
+    Args:
+        parser: Of the command.
+        flags: "--task", or "task" where it stands without a flag.
+        several: Whether more than one may be named, or "all".
+        default: What an omitted flag means.
+    """
+    known = f"{', '.join(TASK_NAMES)}; an env id of one; or a task file such as ball.py"
+    if flags == ("task",):
+        parser.add_argument("task", help=f"one of {known}; or all")
+    elif several:
+        parser.add_argument(*flags, dest="task", nargs="+", default=[default], help=f"some of {known}; or all")
+    else:
+        parser.add_argument(*flags, dest="task", default=default, help=f"one of {known}")
+
+
+def chosen_task(options: argparse.Namespace) -> Task:
+    """Return the one task that was asked for.
+
+    Raises:
+        ValueError: No such task.
+    """
+    return get_task(options.task)
+
+
+def chosen_tasks(options: argparse.Namespace) -> list[Task]:
+    """Return the tasks that were asked for, in that order; for "all" those of the package.
+
+    Raises:
+        ValueError: No such task, or one that was asked for twice, however it was written.
+    """
+    asked = [options.task] if isinstance(options.task, str) else options.task
+    tasks = [get_task(name) for name in (TASK_NAMES if asked == ["all"] else asked)]
+    names = [task.name for task in tasks]
+    if twice := [given for given, name in zip(asked, names, strict=False) if names.count(name) > 1]:
+        raise ValueError(f"{' and '.join(twice)} are one and the same task; ask for it once.")
+    return tasks
