@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
 from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_kind, check_whole
 from dynaforge.tasks import Task
+from dynaforge.tasks.conditions import check_shard
 from dynaforge.tasks.digest import task_digest
 
 Engine = Callable[..., Iterator[Result]]
@@ -28,6 +29,13 @@ class Goal:
 
     demos: int | None
     attempts: int | None
+
+    def __post_init__(self) -> None:
+        for name in ("demos", "attempts"):
+            if getattr(self, name) is not None:
+                check_whole(f"Goal: {name}", getattr(self, name), least=1)
+        if self.demos is None and self.attempts is None:
+            raise ValueError("Goal has neither demos nor attempts, so collecting would never end; give one of them.")
 
     def reached(self, done: Sequence[Attempt], under_way: int) -> bool:
         """Tell whether no other attempt is needed beside those done and those under way."""
@@ -47,10 +55,13 @@ class Source:
     block: int = 0
     shard: tuple[int, int] = (0, 1)
 
+    def __post_init__(self) -> None:
+        check_whole("Source: block", self.block, least=0)
+        check_shard(self.shard)
+
     def conditions(self, task: Task) -> Iterator[Condition]:
         """Iterate over the conditions, without end."""
-        i, n = self.shard
-        return islice(task.conditions.stream("train", self.block), i, None, n)
+        return task.conditions.stream("train", self.block, shard=self.shard)
 
 
 def collect(
@@ -85,8 +96,14 @@ def collect(
         All attempts of this generator at these conditions that the folder now holds.
 
     Raises:
-        ValueError: The folder holds attempts of another policy, or with another definition of the task.
+        ValueError: The folder holds attempts of another policy, or with another definition of the task; or an argument
+            is none.
     """
+    for name, value, kind in (("dataset", dataset, DemonstrationDataset), ("task", task, Task), ("goal", goal, Goal)):
+        check_kind(name, value, kind)
+    check_kind("source", source, (Source, type(None)))
+    if workers is not None:
+        check_whole("workers", workers, least=1)
     dataset.note_source(generator.name, Provenance(getattr(generator, "policy_hash", ""), task_digest(task)))
     lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
     held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name and a.id not in lost}

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from dynaforge.sim.checks import check_kind, check_name, check_whole, is_number, shown
+
 
 @dataclass(frozen=True, slots=True)
 class Condition:
@@ -29,9 +31,13 @@ class Condition:
     values: Mapping[str, float]
 
     def __post_init__(self) -> None:
+        check_name("Condition: task", self.task)
+        check_whole("Condition: seed", self.seed, least=0)
+        check_kind("Condition: values", self.values, Mapping)
+        for name, value in (("difficulty", self.difficulty), *self.values.items()):
+            if not isinstance(name, str) or not is_number(value):  # whether it is in range its space says
+                raise ValueError(f"Condition: {shown(name)} is {shown(value)}; it must be a named number.")
         # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
-        if self.seed < 0:
-            raise ValueError(f"Condition has seed {self.seed}; a seed is 0 or more.")
         object.__setattr__(self, "seed", int(self.seed))
         object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)
         values = {name: float(value) + 0.0 for name, value in sorted(self.values.items())}
@@ -54,12 +60,13 @@ class Condition:
         Raises:
             ValueError: A field is missing or unknown.
         """
+        check_kind("Condition", data, Mapping)
         known = {"task", "seed", "difficulty", "values"}
         if missing := known - set(data):
             raise ValueError(f"Condition lacks {sorted(missing)}; it needs {sorted(known)}.")
         if unknown := set(data) - known:
             raise ValueError(f"Condition has unknown fields {sorted(unknown)}; known are {sorted(known)}.")
-        return Condition(str(data["task"]), int(data["seed"]), float(data["difficulty"]), dict(data["values"]))
+        return Condition(**data)
 
     @property
     def id(self) -> str:

@@ -176,7 +176,11 @@ class SimScene:
     # ---------------------------------------------------------------- episode
 
     def reset(self, condition: Condition) -> SceneState:
-        """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches."""
+        """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches.
+
+        Raises:
+            ValueError: The task's `launch` does not say how the condition starts.
+        """
         client = self.client
         client.restoreState(self._saved)
         # Bullet's broad phase remembers: pairs once in contact keep their caches, and the place in its list of pairs
@@ -187,11 +191,7 @@ class SimScene:
             self._step_physics()
         self._let_collide()
         client.restoreState(self._saved)
-        starts = self.spec.launch(condition)
-        for name, fixture in self.fixtures.items():
-            if name not in starts:
-                fixture.place(None)
-        for name, start in starts.items():
+        for name, start in self.spec.starts(condition).items():
             if isinstance(start, Placement):
                 self.fixtures[name].place(start)
             else:
@@ -215,6 +215,8 @@ class SimScene:
         client.changeDynamics(body, -1, mass=launch.mass, localInertiaDiagonal=inertia)
         client.resetBasePositionAndOrientation(body, launch.pose.position.tolist(), (x, y, z, w))
         client.resetBaseVelocity(body, launch.velocity.tolist(), launch.angular_velocity.tolist())
+        if unknown := [joint for joint in launch.joint_speeds if joint not in joints]:
+            raise ValueError(f"Body {name!r} has no joints {unknown}; it has {sorted(joints)}.")
         for joint, speed in launch.joint_speeds.items():
             client.resetJointState(body, joints[joint], 0.0, speed)
 

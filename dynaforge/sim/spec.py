@@ -2,79 +2,30 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 from xml.etree import ElementTree
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.sim.checks import (
+    check_callable,
+    check_kind,
+    check_name,
+    check_number,
+    check_text,
+    check_tuple,
+    check_whole,
+    close_match,
+    shown,
+)
 from dynaforge.sim.condition import Condition
+from dynaforge.sim.starts import Drive, Launch, Placement
 
+__all__ = ["BodySpec", "Drive", "FixtureSpec", "Launch", "Placement", "SceneSpec", "Spring", "asset_path", "check_urdf"]
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Launch:
-    """How one free body starts: afterwards physics alone moves it.
-
-    Attributes:
-        pose: `T_world_body` at t = 0.
-        velocity: Linear velocity of the centre of mass, world frame, m/s, shape (3,).
-        angular_velocity: World frame, rad/s, shape (3,).
-        mass: Kilograms, of the root link.
-        joint_speeds: Rates at t = 0 of joints that turn freely (wheels), rad/s; a joint not named stands still.
-    """
-
-    pose: Pose
-    velocity: Array
-    angular_velocity: Array
-    mass: float
-    joint_speeds: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """How a joint motor moves one joint of a fixture: steadily, to and fro, or both.
-
-    q(t) = start + rate t + amplitude (sin(w t + phase) - sin(phase)).
-
-    Attributes:
-        start: Position at t = 0, rad or m.
-        rate: Constant part of the speed, rad/s or m/s.
-        amplitude: Of the swing to and fro, rad or m.
-        frequency: w, rad/s; the swing's peak speed is amplitude * frequency.
-        phase: Where in its swing it starts, rad.
-    """
-
-    start: float = 0.0
-    rate: float = 0.0
-    amplitude: float = 0.0
-    frequency: float = 0.0
-    phase: float = 0.0
-
-    def position(self, time: float) -> float:
-        """Where the joint should be, rad or m."""
-        swing = math.sin(self.frequency * time + self.phase) - math.sin(self.phase)
-        return self.start + self.rate * time + self.amplitude * swing
-
-    def speed(self, time: float) -> float:
-        """How fast it should move, rad/s or m/s."""
-        return self.rate + self.amplitude * self.frequency * math.cos(self.frequency * time + self.phase)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
-    """Where a condition puts a fixture, and how its joints are driven.
-
-    Attributes:
-        pose: `T_world_base` for the whole episode.
-        drives: Joint name to its drive; a driven joint not named stays at 0.
-        variant: Which of the fixture's URDFs stands there.
-    """
-
-    pose: Pose
-    drives: Mapping[str, Drive] = field(default_factory=dict)
-    variant: int = 0
+RESERVED = ("robot", "table")  # names of what is in every scene
+LONGEST_STEP = 1.0  # seconds of a control step: more is a rate that was given for a period
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +39,10 @@ class Spring:
 
     joint: str
     force: float
+
+    def __post_init__(self) -> None:
+        check_text("Spring: joint", self.joint)
+        check_number("Spring: force", self.force, above=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +67,42 @@ class FixtureSpec:
     lateral_friction: float = 0.8
     rolling_friction: float = 0.0
 
+    def __post_init__(self) -> None:
+        check_name("FixtureSpec: name", self.name, taken=RESERVED)
+        what = f"Fixture {self.name!r}"
+        for name in ("urdf", "driven"):
+            if not isinstance(getattr(self, name), str):
+                object.__setattr__(self, name, check_tuple(f"{what}: {name}", getattr(self, name), str))
+        if isinstance(self.driven, str):
+            raise ValueError(f"{what}: driven is {self.driven!r}; it must be a tuple: ({self.driven!r},).")
+        check_kind(f"{what}: spring", self.spring, (Spring, type(None)))
+        _check_friction(what, self, "lateral_friction", "rolling_friction")
+        if not self.urdfs:
+            raise ValueError(f"{what} has no URDF.")
+        held = [self.spring.joint] if self.spring else []
+        if len({*self.driven, *held}) < len(self.driven) + len(held):
+            raise ValueError(f"{what}: of driven {self.driven} and the spring's joint {held}, one is named twice.")
+        for urdf in self.urdfs:
+            links, joints = _read(what, urdf)
+            if self.link not in links:
+                raise ValueError(f"{what}: {urdf} has no link {shown(self.link)}; it has {sorted(links)}.")
+            for joint in (*self.driven, *held):
+                if joint not in joints:
+                    raise ValueError(f"{what}: {urdf} has no joint {joint!r}; it has {sorted(joints)}.")
+                if joints[joint] == "fixed":
+                    raise ValueError(f"{what}: the joint {joint!r} of {urdf} is fixed, so nothing can move it.")
+
     @property
     def urdfs(self) -> tuple[str, ...]:
         """All variants."""
         return (self.urdf,) if isinstance(self.urdf, str) else self.urdf
+
+    def check_placement(self, placement: Placement) -> None:
+        """Raise ValueError unless a placement picks a variant that exists and drives only joints that are driven."""
+        if placement.variant >= len(self.urdfs):
+            raise ValueError(f"Fixture {self.name!r} has no variant {placement.variant}; it has {len(self.urdfs)}.")
+        if unknown := sorted(set(placement.drives) - set(self.driven)):
+            raise ValueError(f"Fixture {self.name!r} drives {self.driven}, not {unknown}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +122,18 @@ class BodySpec:
     lateral_friction: float = 0.8
     rolling_friction: float = 2e-4
     spinning_friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_name("BodySpec: name", self.name, taken=RESERVED)
+        what = f"Body {self.name!r}"
+        _check_friction(what, self, "lateral_friction", "rolling_friction", "spinning_friction")
+        _read(what, self.urdf)
+
+    def check_launch(self, launch: Launch) -> None:
+        """Raise ValueError if a launch turns a joint that the body's URDF lacks."""
+        joints = _read(f"Body {self.name!r}", self.urdf)[1] if launch.joint_speeds else {}
+        if unknown := [joint for joint in launch.joint_speeds if joint not in joints]:
+            raise ValueError(f"Body {self.name!r} has no joints {unknown}; {self.urdf} has {sorted(joints)}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +159,62 @@ class SceneSpec:
     solver_iterations: int = 20
     finger_friction: float = 1.0
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bodies", check_tuple("SceneSpec: bodies", self.bodies, BodySpec))
+        object.__setattr__(self, "fixtures", check_tuple("SceneSpec: fixtures", self.fixtures, FixtureSpec))
+        check_callable("SceneSpec: launch", self.launch)
+        if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
+            raise ValueError(
+                f"SceneSpec: several things are called {twice[0]!r}; every body and fixture has its own name."
+            )
+        if not self.tracked:
+            raise ValueError("SceneSpec: nothing in the scene moves; it needs a body, or a fixture with a joint.")
+        check_number("SceneSpec: physics_dt", self.physics_dt, above=0.0)
+        check_number("SceneSpec: control_dt", self.control_dt, above=0.0, most=LONGEST_STEP)
+        ratio = self.control_dt / self.physics_dt
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise ValueError(
+                f"SceneSpec: control_dt {self.control_dt:g} s is {ratio:g} times physics_dt {self.physics_dt:g} s; "
+                "it must be a whole multiple of it."
+            )
+        check_whole("SceneSpec: solver_iterations", self.solver_iterations, least=1)
+        _check_friction("SceneSpec", self, "finger_friction")
+
+    def starts(self, condition: Condition) -> Mapping[str, Launch | Placement]:
+        """Ask `launch` how a condition starts: a Launch for every body, a Placement for every fixture.
+
+        Raises:
+            ValueError: `launch` raises, leaves one out, names one that the scene lacks, or says something else of it.
+        """
+        who = f"launch ({getattr(self.launch, '__qualname__', type(self.launch).__name__)})"
+        try:
+            starts = self.launch(condition)
+        except Exception as error:  # a task's own code: whatever it raises is told with its place
+            key = error.args[0] if isinstance(error, KeyError) and error.args else None
+            hint = f" A condition has {sorted(condition.values)}.{close_match(key, condition.values)}" if key else ""
+            raise ValueError(f"{who} raised {type(error).__name__}: {error} at {condition}.{hint}") from error
+        check_kind(f"{who} returns what", starts, Mapping)
+        for name, start in starts.items():
+            self._check_start(who, name, start)
+        if forgotten := [name for name in self.names if name not in starts]:
+            raise ValueError(f"{who} forgets {forgotten[0]!r}; it must say how every body and fixture starts.")
+        return starts
+
+    def _check_start(self, who: str, name: str, start: Launch | Placement) -> None:
+        if name not in self.names:
+            there = ", ".join(map(repr, self.names))
+            raise ValueError(f"{who} starts {name!r}; the scene has {there}.{close_match(name, self.names)}")
+        fixture = next((fixture for fixture in self.fixtures if fixture.name == name), None)
+        what = f"{who}: the start of {'the body' if fixture is None else 'the fixture'} {name!r}"
+        check_kind(what, start, Launch if fixture is None else Placement)
+        if fixture is not None and isinstance(start, Placement):
+            fixture.check_placement(start)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bodies, then of all fixtures."""
+        return (*(body.name for body in self.bodies), *(fixture.name for fixture in self.fixtures))
+
     @property
     def tracked(self) -> tuple[str, ...]:
         """Names of everything that moves or can be moved: free bodies, then fixtures with joints."""
@@ -177,8 +232,25 @@ class SceneSpec:
         return round(1 / self.control_dt)
 
 
-def check_urdf(path: Path) -> None:
+def _check_friction(what: str, spec: object, *names: str) -> None:
+    for name in names:
+        check_number(f"{what}: {name}", getattr(spec, name), least=0.0)
+
+
+def _read(what: str, urdf: str) -> tuple[set[str], dict[str, str]]:
+    """Return what `check_urdf` does; a refusal names the thing that the URDF is for."""
+    check_text(f"{what}: urdf", urdf)
+    try:
+        return check_urdf(asset_path(urdf))
+    except (ValueError, FileNotFoundError) as error:
+        raise type(error)(f"{what}: {error}") from error
+
+
+def check_urdf(path: Path) -> tuple[set[str], dict[str, str]]:
     """Make sure that a URDF is XML with one root link, since Bullet itself crashes on one with more.
+
+    Returns:
+        The names of its links, and its joints' names with their types.
 
     Raises:
         ValueError: It is not; names the file.
@@ -187,10 +259,11 @@ def check_urdf(path: Path) -> None:
         robot = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise ValueError(f"{path} is no XML, so no URDF: {error}.") from error
-    links = {link.get("name") for link in robot.findall("link")}
+    links = {link.get("name", "") for link in robot.findall("link")}
     roots = links - {child.get("link") for child in robot.findall("joint/child")}
     if len(roots) != 1:
         raise ValueError(f"{path} is no URDF that can be loaded: it has {len(roots)} root links, and needs one.")
+    return links, {joint.get("name", ""): joint.get("type", "") for joint in robot.findall("joint")}
 
 
 def asset_path(name: str) -> Path:
@@ -203,7 +276,11 @@ def asset_path(name: str) -> Path:
         if not Path(name).is_file():
             raise FileNotFoundError(f"No file {name!r}.")
         return Path(name)
-    with as_file(files("dynaforge.assets").joinpath(name)) as path:
+    with as_file(files("dynaforge.assets").joinpath(name)) as path, as_file(files("dynaforge.assets")) as assets:
         if not path.is_file():
-            raise FileNotFoundError(f"No asset {name!r} in {path.parent}.")
+            known = [file.relative_to(assets).as_posix() for file in assets.glob("*/*.urdf")]
+            raise FileNotFoundError(
+                f"No asset {name!r} in {assets}.{close_match(name, known)} "
+                "A file of your own is given by its absolute path: str(Path(__file__).with_name(...))."
+            )
         return path

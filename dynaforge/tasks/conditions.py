@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,6 +12,17 @@ from typing import Any
 import numpy as np
 
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import (
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    check_numbers,
+    check_task_name,
+    check_whole,
+    is_whole,
+    shown,
+)
 
 STREAMS = ("train", "val", "test")
 
@@ -26,7 +38,7 @@ class ConditionSpace:
         units: Field name to its unit, for people who read it; no entry for a plain number such as a side.
 
     Raises:
-        ValueError: A unit is given for a field that has no range.
+        ValueError: A range is empty or reversed, the difficulty is none of the fields, or a unit is given for none.
     """
 
     task: str
@@ -35,6 +47,16 @@ class ConditionSpace:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_task_name("ConditionSpace: task", self.task)
+        check_kind("ConditionSpace: ranges", self.ranges, Mapping)
+        check_kind("ConditionSpace: units", self.units, Mapping)
+        for name, ends in self.ranges.items():
+            check_name("ConditionSpace: the field", name)
+            check_numbers(f"ConditionSpace: the range of {name!r}", ends, 2)
+            if not ends[0] < ends[1]:
+                how = "empty; what never varies belongs into launch" if ends[0] == ends[1] else "reversed"
+                raise ValueError(f"ConditionSpace: the range {shown(ends)} of {name!r}, (low, high), is {how}.")
+        check_choice("ConditionSpace: difficulty", self.difficulty, self.ranges)
         if unknown := sorted(set(self.units) - set(self.ranges)):
             raise ValueError(f"Units are given for {unknown}, which are no fields; there are {sorted(self.ranges)}.")
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
@@ -50,6 +72,8 @@ class ConditionSpace:
 
     def stratum(self, difficulty: float, n_strata: int) -> int:
         """Which of `n_strata` equal parts of its range a difficulty falls into; the ends belong to the outer ones."""
+        check_whole("n_strata", n_strata, least=1)
+        check_number("difficulty", difficulty)
         low, high = self.difficulty_range
         return min(max(int((difficulty - low) / (high - low) * n_strata), 0), n_strata - 1)
 
@@ -64,8 +88,10 @@ class ConditionSpace:
         Raises:
             ValueError: No such stratum.
         """
-        if stratum is not None and not 0 <= stratum < n_strata:
-            raise ValueError(f"Stratum {stratum} does not exist among {n_strata}; use 0 to {n_strata - 1}.")
+        check_kind("rng", rng, np.random.Generator)
+        check_whole("n_strata", n_strata, least=1)
+        if stratum is not None and not (is_whole(stratum) and 0 <= stratum < n_strata):
+            raise ValueError(f"Stratum {shown(stratum)} does not exist among {n_strata}; use 0 to {n_strata - 1}.")
         unit = {name: float(rng.random()) for name in self.ranges}
         if stratum is not None:
             unit[self.difficulty] = (stratum + unit[self.difficulty]) / n_strata
@@ -82,6 +108,7 @@ class ConditionSpace:
         Raises:
             ValueError: Another task's condition, a missing or unknown field, or a value out of range.
         """
+        check_kind("condition", condition, Condition)
         if condition.task != self.task:
             raise ValueError(f"Condition belongs to task {condition.task!r}, this is {self.task!r}.")
         if missing := sorted(set(self.ranges) - set(condition.values)):
@@ -98,19 +125,40 @@ class ConditionSpace:
             )
         return condition
 
-    def stream(self, stream: str, block: int = 0, *, n_strata: int | None = None) -> Iterator[Condition]:
+    def stream(
+        self, stream: str, block: int = 0, *, n_strata: int | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Iterator[Condition]:
         """Iterate without end over the conditions of (task, stream, block, 0), (task, stream, block, 1) and so on.
 
-        With `n_strata`, index i falls into stratum i modulo `n_strata`.
+        Args:
+            stream: One of `STREAMS`.
+            block: Which block of it.
+            n_strata: With it, index i falls into stratum i modulo `n_strata`.
+            shard: (i, n): of every n conditions the i-th; the others are not drawn.
 
         Raises:
-            ValueError: Unknown stream.
+            ValueError: Unknown stream, or no such block, strata or shard.
         """
         if stream not in STREAMS:
-            raise ValueError(f"No condition stream {stream!r}; known are {', '.join(STREAMS)}.")
-        index = 0
-        while True:
-            key = (zlib.crc32(self.task.encode()), STREAMS.index(stream), block, index)
+            raise ValueError(f"No condition stream {shown(stream)}; known are {', '.join(STREAMS)}.")
+        check_whole("block", block, least=0)
+        if n_strata is not None:
+            check_whole("n_strata", n_strata, least=1)
+        check_shard(shard)
+        return self._conditions(STREAMS.index(stream), block, n_strata, shard)
+
+    def _conditions(self, stream: int, block: int, n_strata: int | None, shard: tuple[int, int]) -> Iterator[Condition]:
+        for index in itertools.count(*shard):
+            key = (zlib.crc32(self.task.encode()), stream, block, index)
             rng = np.random.default_rng(np.random.SeedSequence(key))
             yield self.draw(rng, None if n_strata is None else index % n_strata, n_strata or 1)
-            index += 1
+
+
+def check_shard(shard: tuple[int, int]) -> None:
+    """Raise ValueError unless a shard is (i, n) with 0 <= i < n."""
+    if not isinstance(shard, (tuple, list)) or len(shard) != 2:
+        raise ValueError(f"shard is {shown(shard)}; it must be (i, n), of every n conditions the i-th.")
+    check_whole("shard: n", shard[1], least=1)
+    check_whole("shard: i", shard[0], least=0)
+    if shard[0] >= shard[1]:
+        raise ValueError(f"shard is {shown(shard)}; of {shard[1]} shards the last is {shard[1] - 1}.")

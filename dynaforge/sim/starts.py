@@ -1,0 +1,93 @@
+"""How a condition starts what a scene holds: plain data that `launch` returns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from dynaforge.geometry import Array, Pose
+from dynaforge.sim.checks import check_fields, check_kind, check_number, check_pose, check_whole, finite_array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Launch:
+    """How one free body starts: afterwards physics alone moves it.
+
+    Attributes:
+        pose: `T_world_body` at t = 0.
+        velocity: Linear velocity of the centre of mass, world frame, m/s, shape (3,).
+        angular_velocity: World frame, rad/s, shape (3,).
+        mass: Kilograms, of the root link.
+        joint_speeds: Rates at t = 0 of joints that turn freely (wheels), rad/s; a joint not named stands still.
+    """
+
+    pose: Pose
+    velocity: Array
+    angular_velocity: Array
+    mass: float
+    joint_speeds: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_pose("Launch: pose", self.pose)
+        for name in ("velocity", "angular_velocity"):
+            object.__setattr__(self, name, finite_array(f"Launch: {name}", getattr(self, name), (3,)))
+        check_number("Launch: mass", self.mass, above=0.0)
+        check_kind("Launch: joint_speeds", self.joint_speeds, Mapping)
+        for joint, speed in self.joint_speeds.items():
+            check_number(f"Launch: joint_speeds[{joint!r}]", speed)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """How a joint motor moves one joint of a fixture: steadily, to and fro, or both.
+
+    q(t) = start + rate t + amplitude (sin(w t + phase) - sin(phase)).
+
+    Attributes:
+        start: Position at t = 0, rad or m.
+        rate: Constant part of the speed, rad/s or m/s.
+        amplitude: Of the swing to and fro, rad or m.
+        frequency: w, rad/s; the swing's peak speed is amplitude * frequency.
+        phase: Where in its swing it starts, rad.
+    """
+
+    start: float = 0.0
+    rate: float = 0.0
+    amplitude: float = 0.0
+    frequency: float = 0.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, "Drive")
+
+    def position(self, time: float) -> float:
+        """Where the joint should be, rad or m."""
+        swing = math.sin(self.frequency * time + self.phase) - math.sin(self.phase)
+        return self.start + self.rate * time + self.amplitude * swing
+
+    def speed(self, time: float) -> float:
+        """How fast it should move, rad/s or m/s."""
+        return self.rate + self.amplitude * self.frequency * math.cos(self.frequency * time + self.phase)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a condition puts a fixture, and how its joints are driven.
+
+    Attributes:
+        pose: `T_world_base` for the whole episode.
+        drives: Joint name to its drive; a driven joint not named stays at 0.
+        variant: Which of the fixture's URDFs stands there.
+    """
+
+    pose: Pose
+    drives: Mapping[str, Drive] = field(default_factory=dict)
+    variant: int = 0
+
+    def __post_init__(self) -> None:
+        check_pose("Placement: pose", self.pose)
+        check_whole("Placement: variant", self.variant, least=0)
+        check_kind("Placement: drives", self.drives, Mapping)
+        for joint, drive in self.drives.items():
+            check_kind(f"Placement: drives[{joint!r}]", drive, Drive)
