@@ -25,6 +25,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     Raises:
         ValueError: Unknown task or render mode.
+        OSError: Mode "human" without a display.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
@@ -33,7 +34,9 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         self.task = get_task(task) if isinstance(task, str) else task
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}
         self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
+        self._closed = False
         self._renderer: Renderer | None = None
         self._condition: Condition | None = None
 
@@ -43,7 +46,12 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         return self.task.conditions
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself."""
+        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself.
+
+        Raises:
+            RuntimeError: The env is closed.
+        """
+        self._must_be_open()
         if self.render_mode != "rgb_array":
             return None
         if self._renderer is None:
@@ -52,14 +60,21 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     def close(self) -> None:
         """Release physics; legal twice."""
+        self._closed = True
         self.world.close()
+
+    def _must_be_open(self) -> None:
+        if self._closed:
+            raise RuntimeError("This env is closed; make a new one.")
 
     def _chosen(self, options: dict[str, Any] | None) -> Condition:
         """Read the condition from reset options, or draw one.
 
         Raises:
             ValueError: An unknown option, or a condition that is not this task's.
+            RuntimeError: The env is closed.
         """
+        self._must_be_open()
         options = options or {}
         if unknown := sorted(set(options) - {"condition"}):
             raise ValueError(f"Unknown reset options {unknown}; the one known is 'condition'.")
@@ -77,8 +92,9 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
         Raises:
             ValueError: Wrong shape, NaN or infinity.
-            RuntimeError: No episode was started.
+            RuntimeError: No episode was started, or the env is closed.
         """
+        self._must_be_open()
         if self._condition is None:
             raise RuntimeError("step() before reset(): call env.reset() first.")
         values = np.asarray(action, dtype=np.float64)

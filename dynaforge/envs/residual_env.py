@@ -12,6 +12,7 @@ from dynaforge.envs.base import WorldEnv, check_choice
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.observation import LIMIT, ObservationBuilder
 from dynaforge.geometry import Array
+from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
 Observation = NDArray[np.float32]
@@ -24,7 +25,15 @@ class ResidualEnv(WorldEnv):
 
     One step is one decision: a residual held for up to `decision_steps` control steps, cut short where the gate
     changes. The reward is 0 until the end and then R of Eq. 6. A timeout terminates: truncation would make
-    Stable-Baselines3 add a bootstrapped value to R.
+    Stable-Baselines3 add a bootstrapped value to R. Every info holds "is_success", False until won.
+
+    Films run at true speed. RecordVideo, VecVideoRecorder and "rgb_array_list" take one picture a step; so while
+    pictures are taken, a step is one control step, 1 / metadata["render_fps"] seconds. After a `render()` that follows
+    a step, the next step ends after one control step; it decides only where a decision is due, and otherwise its action
+    is not read and the residual held on. After a `render()` that follows a reset, the episode begins again at t = 0,
+    before the phases that the reset had run through. Decisions and what they see are those of the same
+    episode unfilmed: a policy that acts on its observations alone ends in the same state, to the bit. An env of which
+    no picture is asked steps as one without `render_mode`.
 
     Args:
         task: Task name or a Task.
@@ -37,6 +46,7 @@ class ResidualEnv(WorldEnv):
 
     Raises:
         ValueError: Unknown task, gate mode, render mode or frame.
+        OSError: Mode "human" without a display.
     """
 
     def __init__(
@@ -62,6 +72,9 @@ class ResidualEnv(WorldEnv):
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, len(self._active))
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self._active),), np.float32)
+        self._left = 0  # control steps for which the latest residual is still to be held
+        self._filmed = False  # a picture was taken since the latest step or reset
+        self._fresh = False  # nothing happened since the reset
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -77,12 +90,10 @@ class ResidualEnv(WorldEnv):
         """
         super().reset(seed=seed)
         self._condition = self._chosen(options)
-        state = self.world.reset(self._condition)
-        self.observer.reset(state)
-        self._last_action = np.zeros(len(self._active))
-        self.executor.reset(state, self._condition, self.world.reference)
+        self._begin(self._condition)
         if self.gate_mode == "skip":
             self._run_until_gate()
+        self._filmed, self._fresh = False, True
         return self._observation(), {"condition_id": self._condition.id}
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -93,25 +104,56 @@ class ResidualEnv(WorldEnv):
 
         Raises:
             ValueError: Wrong shape, NaN or infinity.
-            RuntimeError: Called before `reset`.
+            RuntimeError: Called before `reset` or after `close`.
         """
         values = self._checked(action)
-        gated = self.executor.outcome is None and self.executor.action.gate
-        if gated:
+        filmed, self._fresh = self._filmed, False
+        decides = self._left == 0 and self.executor.outcome is None and self.executor.action.gate
+        if decides:
             self._last_action = np.clip(values, -1.0, 1.0)
-        if self.executor.outcome is None:
-            self._run_decision(gated)
-        if self.gate_mode == "skip":
+            self._residual = self._physical_residual()
+            self._left = self.task.residual.decision_steps
+        self._run_decision(at_most=1 if filmed else self.task.residual.decision_steps)
+        if self.gate_mode == "skip" and not filmed:
             self._run_until_gate()
-        return self._result(gated)
+        self._filmed = False
+        return self._result(decides)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return an (H, W, 3) uint8 image in mode "rgb_array", and let the next step be one control step.
+
+        Called between a reset and the first step, it shows t = 0.
+
+        Raises:
+            RuntimeError: The env is closed.
+        """
+        self._must_be_open()
+        if self.render_mode == "rgb_array" and self._condition is not None:
+            # What listens to the world has seen the steps that the reset ran, and must not see them twice.
+            if self._fresh and not self.world.listeners:
+                self._begin(self._condition)
+            self._filmed, self._fresh = True, False
+        return super().render()
 
     # ---------------------------------------------------------------- inside an episode
 
-    def _run_decision(self, gated: bool) -> None:
-        residual = self._physical_residual() if gated else None
-        for _ in range(self.task.residual.decision_steps):
-            self._control_step(residual)
+    def _begin(self, condition: Condition) -> None:
+        state = self.world.reset(condition)
+        self.observer.reset(state)
+        self._last_action = np.zeros(len(self._active))
+        self._left = 0
+        self.executor.reset(state, condition, self.world.reference)
+        self._fresh = False
+
+    def _run_decision(self, *, at_most: int) -> None:
+        gated = self._left > 0
+        for _ in range(min(self._left, at_most) if gated else at_most):
+            if self.executor.outcome is not None:
+                return
+            self._control_step(self._residual if gated else None)
+            self._left -= gated
             if self.executor.outcome is not None or self.executor.action.gate != gated:
+                self._left = 0
                 return
 
     def _run_until_gate(self) -> None:
@@ -138,7 +180,7 @@ class ResidualEnv(WorldEnv):
 
     def _result(self, gated: bool) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         outcome = self.executor.outcome
-        info: dict[str, Any] = {"residual_mask": float(gated)}
+        info: dict[str, Any] = {"residual_mask": float(gated), "is_success": False}
         reward = 0.0
         if outcome is not None:
             assert self._condition is not None

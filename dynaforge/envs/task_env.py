@@ -27,7 +27,7 @@ class TaskEnv(WorldEnv):
     """A task without its prior: for imitation policies, replay, and learning from scratch.
 
     One step is one control step. The reward is 1 when the task's success held long enough and 0 otherwise; an
-    episode also ends when success has become impossible or time is up.
+    episode also ends when success has become impossible or time is up. Every info holds "is_success".
 
     Args:
         task: Task name or a Task.
@@ -94,11 +94,10 @@ class TaskEnv(WorldEnv):
             self._state = self.world.track_joints(values[:7], float(values[7]))
         self._frames = heading_frames(self._state, self._frames)
         success, failure = self._judge()
-        info: dict[str, Any] = {}
+        info: dict[str, Any] = {"is_success": success}
         if success or failure:
             assert self._condition is not None
-            info = {"is_success": success, "failure": failure, "condition_id": self._condition.id}
-            info["difficulty"] = self._condition.difficulty
+            info |= {"failure": failure, "condition_id": self._condition.id, "difficulty": self._condition.difficulty}
         return self._observation(), float(success), bool(success or failure), False, info
 
     def _judge(self) -> tuple[bool, str]:

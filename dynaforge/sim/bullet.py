@@ -1,8 +1,10 @@
-"""PyBullet without the lines it prints to the terminal on import and at every connection."""
+"""PyBullet without the lines it prints to the terminal."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import os
 import re
 import sys
@@ -18,36 +20,96 @@ from dynaforge.sim.spec import asset_path, check_urdf
 
 __all__ = ["connect", "joints_and_links", "load_asset", "pose_of", "pybullet"]
 
+STDERR = 2  # the descriptor
+
 
 @contextlib.contextmanager
-def _silent_terminal() -> Iterator[None]:
-    """Point stdout and stderr of the whole process elsewhere: Bullet prints from C, below Python's streams."""
-    sys.stdout.flush()
-    kept = [os.dup(fd) for fd in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+def _silent_stderr() -> Iterator[None]:
+    """Point the descriptor of stderr elsewhere: on its import Bullet prints from C, below Python's streams.
+
+    It is used for that one import, which Python runs once in a process: no two threads are ever in here. A process
+    without stderr has nothing to point elsewhere.
+    """
     try:
-        for fd in (1, 2):
-            os.dup2(nowhere, fd)
+        kept = os.dup(STDERR)
+    except OSError:
+        yield
+        return
+    try:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, STDERR)
+        os.close(nowhere)
         yield
     finally:
-        for fd, copy in zip((1, 2), kept, strict=True):
-            os.dup2(copy, fd)
-            os.close(copy)
-        os.close(nowhere)
+        os.dup2(kept, STDERR)
+        os.close(kept)
 
 
-with _silent_terminal():
+with _silent_stderr():
     import pybullet
-    from pybullet_utils.bullet_client import BulletClient
 
 
 STIFFNESS, DAMPING = 1e6, 2000.0  # N/m, N s/m
 
 
-def connect(*, gui: bool = False) -> Any:
-    """Open a physics client of its own, with Bullet's window or without."""
-    with _silent_terminal():
-        return BulletClient(connection_mode=pybullet.GUI if gui else pybullet.DIRECT)
+class Client:
+    """A physics world of its own: every function of `pybullet`, bound to it. Ends with the object.
+
+    pybullet_utils has the like, but connects with an empty string of options, upon which Bullet prints its arguments.
+    """
+
+    def __init__(self, mode: int) -> None:
+        self._id = -1
+        self._owner = os.getpid()
+        self._id = pybullet.connect(mode)
+        if self._id < 0:
+            raise RuntimeError("Bullet opens no other world in this process; close envs that are no longer needed.")
+
+    def __getattr__(self, name: str) -> Any:
+        return functools.partial(getattr(pybullet, name), physicsClientId=self._id)
+
+    def disconnect(self) -> None:
+        """Leave the world; legal twice."""
+        world, self._id = self._id, -1
+        if world >= 0 and os.getpid() == self._owner:  # a forked copy has no say over it
+            with contextlib.suppress(pybullet.error):
+                pybullet.disconnect(physicsClientId=world)
+
+    def __del__(self) -> None:
+        self.disconnect()
+
+
+def connect(*, gui: bool = False) -> Client:
+    """Open a physics client of its own, with Bullet's window or without.
+
+    Raises:
+        OSError: A window is asked for and there is no display. Bullet itself would end the process.
+    """
+    if gui and (problem := missing_display()):
+        raise OSError(
+            f"render_mode='human' opens a window, but {problem}. On a machine without a screen use "
+            "render_mode='rgb_array', or start Python under `xvfb-run`."
+        )
+    return Client(pybullet.GUI if gui else pybullet.DIRECT)
+
+
+def missing_display() -> str:
+    """Say why Bullet could open no window here; empty where it can."""
+    if sys.platform != "linux":
+        return ""
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "there is no display: the variable DISPLAY is not set"
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:
+        return "the library libX11.so.6 is missing"
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    connection = x11.XOpenDisplay(None)
+    if not connection:
+        return f"no X server answers at DISPLAY={display!r}"
+    x11.XCloseDisplay(ctypes.c_void_p(connection))
+    return ""
 
 
 def joints_and_links(client: Any, body: int) -> tuple[dict[str, int], dict[str, int]]:

@@ -52,7 +52,6 @@ class SimScene:
         self.robot = robot or franka()
         self._stop_speeds = self.robot.stop_speed * self.robot.dq_max
         self.client = connect(gui=gui)
-        self._open = True
         # Without this flag Bullet turns a URDF cylinder into a 32-gon, which loses 0.2 m/s a second when it rolls.
         self._flags = p.URDF_USE_IMPLICIT_CYLINDER
         if not (visuals or gui):
@@ -142,7 +141,7 @@ class SimScene:
         }
 
     def _bind_hot_calls(self) -> None:
-        # BulletClient looks every call up anew: a third of the cost of the short ones.
+        # The client looks every call up anew: a third of the cost of the short ones.
         client = self.client
         self._step_physics = client.stepSimulation
         self._command_arm = partial(client.setJointMotorControlArray, **self._motor)
@@ -276,7 +275,4 @@ class SimScene:
 
     def close(self) -> None:
         """Disconnect from physics; legal twice."""
-        if self._open:
-            self._open = False
-            with contextlib.suppress(p.error):
-                self.client.disconnect()
+        self.client.disconnect()

@@ -89,12 +89,13 @@ def episodes(env: gym.Env) -> list[RandomEpisode]:
 
 def check_episode(env: gym.Env, episode: RandomEpisode) -> None:
     robot = env.unwrapped.world.scene.robot
-    for (observation, reward, done, truncated, _), state in zip(episode.results, episode.states, strict=True):
+    for (observation, reward, done, truncated, info), state in zip(episode.results, episode.states, strict=True):
         assert observation in env.observation_space
         assert np.isfinite(observation).all()
         assert type(reward) is float
         assert type(done) is bool
         assert truncated is False
+        assert done or info["is_success"] is False
         too_fast = bool((np.abs(state.dq) > robot.stop_speed * robot.dq_max).any())
         assert done or not too_fast
         assert math.isfinite(sum(body.pose.position.sum() for body in state.objects.values()))
@@ -250,6 +251,9 @@ def test_a_new_env_refuses_to_step_and_closes_twice(name: str, kwargs: dict[str,
     env.step(env.action_space.sample())
     env.close()
     env.close()
+    for call in (env.reset, env.render, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(RuntimeError, match="This env is closed; make a new one"):
+            call()
 
 
 @pytest.mark.parametrize("name", [f"DynaForge/{name}-v0" for name in ENV_NAMES.values()] + ["DynaForge/CanTask-v0"])
