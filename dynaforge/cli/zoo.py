@@ -21,7 +21,7 @@ from typing import Any
 
 import yaml
 
-from dynaforge.registration import ENV_NAMES, env_id
+from dynaforge.registration import ENV_NAMES, env_id, task_named
 
 ALGORITHMS = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
@@ -48,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     flags = [flag for flag in flags if flag != "--trusted"]
     if not asked.help:
         _check_files(script, asked)
+        _check_display(script, asked, flags)
     register_with_zoo()
     if not asked.help:
         _check_names(asked)
@@ -146,6 +147,19 @@ def _check_files(script: str, asked: argparse.Namespace) -> None:
         what = asked.trained_agent or "an rl_zoo3 checkpoint"
         raise SystemExit(
             f"dynaforge {script}: loading {what} can run code stored in it; add --trusted if it is your own"
+        )
+
+
+def _check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> None:
+    """Refuse to play an episode in a window where there is none, before anything is loaded."""
+    ours = task_named(asked.env) is not None or asked.env.endswith(".py")
+    if script != "enjoy" or not ours or "--no-render" in flags or any("render_mode" in flag for flag in flags):
+        return
+    from dynaforge.sim.bullet import missing_display
+
+    if problem := missing_display():
+        raise SystemExit(
+            f"dynaforge enjoy: it opens a window, but {problem}; add --no-render, or make a film with record_video"
         )
 
 

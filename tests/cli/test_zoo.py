@@ -52,6 +52,12 @@ def test_playing_a_checkpoint_needs_trust(script: str) -> None:
     assert "--trusted" in run(script, "--algo", "ppo")
 
 
+def test_playing_without_a_display_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    flags = ["--algo", "ppo", "--env", "DynaForge/Can-v0", "--trusted", "-f", "nowhere"]
+    assert "DISPLAY is not set; add --no-render" in run("enjoy", *flags)
+
+
 def test_a_missing_zoo_is_one_line_that_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "rl_zoo3"]:
         monkeypatch.delitem(sys.modules, name)
