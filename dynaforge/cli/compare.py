@@ -21,15 +21,16 @@ from tqdm import tqdm
 from dynaforge.cli import training
 from dynaforge.cli.forge import make_folder, minutes
 from dynaforge.cli.runs import Exam, RunSpec, arms
+from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
 from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
-from dynaforge.tasks import STREAMS, TASK_NAMES, get_task
+from dynaforge.tasks import STREAMS, task_source
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Add the options of `compare`."""
-    parser.add_argument("--task", nargs="+", default=["can"], help=f"of {', '.join(TASK_NAMES)}; all; task files")
+    add_task_argument(parser, "--task", several=True)
     parser.add_argument("--algos", nargs="+", default=["ppo", "grpo", "frontier_grpo"], help=f"of {', '.join(arms())}")
     parser.add_argument("--train-seeds", type=int, default=3, help="training seeds 0, 1, ... of each")
     parser.add_argument("--steps", type=float, default=1e5, help="environment steps of a run, about 50 updates")
@@ -78,8 +79,7 @@ def matrix(options: argparse.Namespace) -> list[RunSpec]:
     for name, least in (("train_seeds", 1), ("steps", 1), ("seeds", 1), ("attempts", 1), ("workers", 1)):
         if getattr(options, name) < least:
             raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name):g}; it must be at least {least}.")
-    names = list(TASK_NAMES) if options.task == ["all"] else options.task
-    tasks = {get_task(name).name: name for name in names}
+    tasks = {task.name: task_source(task) for task in chosen_tasks(options)}
     exam = Exam(options.stream, options.seeds, options.attempts)
     known = arms()
     if unknown := [name for name in options.algos if name not in known]:
@@ -93,14 +93,14 @@ def matrix(options: argparse.Namespace) -> list[RunSpec]:
     for algo, changes in crew.values():
         _check_settings(algo, changes, next(iter(tasks)))
     specs = [
-        RunSpec(given, "planner_only", "", {}, 0, 0, exam, options.out / name / "planner_only")
-        for name, given in tasks.items()
+        RunSpec(source, "planner_only", "", {}, 0, 0, exam, options.out / name / "planner_only")
+        for name, source in tasks.items()
     ]
     for seed in range(options.train_seeds):
-        for name, given in tasks.items():
+        for name, source in tasks.items():
             for arm, (algo, changes) in crew.items():
                 folder = options.out / name / arm / f"seed-{seed}"
-                specs.append(RunSpec(given, arm, algo, changes, seed, int(options.steps), exam, folder))
+                specs.append(RunSpec(source, arm, algo, changes, seed, int(options.steps), exam, folder))
     return specs
 
 
@@ -128,7 +128,7 @@ def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
     """
     import gymnasium as gym
 
-    env = gym.make(env_id(task)) if task in TASK_NAMES else gym.make("CartPole-v1")
+    env = gym.make(env_id(task))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PPO's batch does not suit a single env

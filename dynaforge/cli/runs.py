@@ -18,15 +18,18 @@ from typing import Any
 
 import yaml
 
+from dynaforge.cli.settings import hyperparameters
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
+from dynaforge.tasks.digest import task_digest
 
 SAVED_EVERY = 5  # updates, between two of which a kill may fall
 PROBED_EVERY = 5  # updates, between two measurements without exploration
+CHECKPOINT = "checkpoint.safetensors"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ class RunSpec:
     """A training run: what it learns, how, and how it is measured.
 
     Attributes:
-        task: Task name or file.
+        task: Task name, or path of its file.
         arm: Name in tables.
         algo: File of zoo_configs.
         changes: Settings in which the arm differs from that file.
@@ -84,13 +87,15 @@ class RunSpec:
         return RunSpec(**data | {"exam": Exam(**data["exam"]), "folder": Path(data["folder"])})
 
     def identity(self) -> dict[str, Any]:
-        """Return what makes it this run, as plain JSON data: all but the folder, which may be moved."""
-        return {name: value for name, value in json.loads(self.to_json()).items() if name != "folder"}
+        """Return what makes it this run, as plain JSON data; the folder and a task's file may be moved."""
+        task = get_task(self.task)
+        whole = json.loads(self.to_json()) | {"task": task.name}
+        if self.task != task.name:
+            whole["task_definition"] = task_digest(task)
+        return {name: value for name, value in whole.items() if name != "folder"}
 
     def settings(self) -> dict[str, Any]:
         """Return the hyperparameters: those of zoo_configs and the changes."""
-        from dynaforge.cli.training import hyperparameters
-
         settings = hyperparameters(self.algo, self.task, self.changes)
         return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` says it
 
@@ -108,8 +113,13 @@ class RunSpec:
         stored = self.folder / "run.json"
         if not stored.is_file():
             return
-        about = json.loads(stored.read_text())
-        held = about["run"] | {"settings": about["settings"]}
+        try:
+            about = json.loads(stored.read_text())
+            held = about["run"] | {"settings": about["settings"]}
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{stored} does not describe a run ({error!r}). Choose another --out, or remove it."
+            ) from None
         mine = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
         differ = [name for name in mine if name != "changes" and mine[name] != held.get(name)]  # settings hold them
         if differ:
@@ -128,6 +138,7 @@ def arms() -> dict[str, dict[str, Any]]:
 def perform(spec: RunSpec) -> None:
     """Make the run, or what is missing of it."""
     from dynaforge.cli import training
+    from dynaforge.cli.checkpoint import load_checkpoint, save_checkpoint
 
     spec.check()
     spec.folder.mkdir(parents=True, exist_ok=True)
@@ -136,17 +147,16 @@ def perform(spec: RunSpec) -> None:
     atomic_write(spec.folder / "run.json", json.dumps(about, indent=1).encode() + b"\n")
     task = get_task(spec.task)
     env = training.training_env(task, settings["n_envs"], cores=1)
-    checkpoint, stored = spec.folder / "model.zip", spec.folder / "history.json"
+    checkpoint, stored = spec.folder / CHECKPOINT, spec.folder / "history.json"
+    model = training.build_model(spec.task, env, algo=spec.algo, seed=spec.seed, **spec.changes)
+    history = TrainingHistory()
     if checkpoint.is_file():
-        model = training.load_model(checkpoint, env, algo=spec.algo, seed=spec.seed)
+        load_checkpoint(model, checkpoint, seed=spec.seed)
         history = TrainingHistory.load(stored).up_to(model.num_timesteps)
-    else:
-        model = training.build_model(spec.task, env, algo=spec.algo, seed=spec.seed, **spec.changes)
-        history = TrainingHistory()
     prober = Prober(task)
 
     def policy() -> Any:
-        return training.policy_file(model, spec.task, algo=spec.algo, seed=spec.seed, updates=len(history))
+        return training.policy_file(model, task.name, algo=spec.algo, seed=spec.seed, updates=len(history))
 
     def between_updates(updates: int) -> bool:
         last = history.probes[-1].update if history.probes else -1
@@ -155,7 +165,7 @@ def perform(spec: RunSpec) -> None:
             history.probes.append(prober.probe(policy(), update=updates, timesteps=steps))
         if updates and updates % SAVED_EVERY == 0:
             history.save(stored)  # first: a history longer than its checkpoint is cut, a shorter one would have a hole
-            training.save_model(model, checkpoint)
+            save_checkpoint(model, checkpoint)
         if updates:
             tell(steps=min(history.timesteps[-1], spec.steps), text=training.describe_update(history))
         return True
@@ -166,7 +176,7 @@ def perform(spec: RunSpec) -> None:
         model.learn(left, callback=monitor, reset_num_timesteps=not checkpoint.is_file())
     env.close()
     history.save(stored)
-    training.save_model(model, checkpoint)
+    save_checkpoint(model, checkpoint)
     final = policy()
     final.save(spec.folder / "policy.safetensors")
     examine(task, ResidualGenerator(final, policy_hash=final.digest), spec.exam, spec.folder / "exam.json")

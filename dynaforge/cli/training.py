@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch as th
-import yaml
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -22,41 +19,17 @@ from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli.settings import hyperparameters as hyperparameters
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.evaluation.history import STRATA, TrainingHistory
-from dynaforge.registration import env_id
 from dynaforge.tasks import ConditionSpace, Task
 
-LIKE = "DynaForge/Can-v0"  # whose settings a task that is not listed takes
 NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
-
-
-def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Read an entry of zoo_configs, the same that `dynaforge train` reads.
-
-    Args:
-        algo: Which file.
-        task: Task name or file.
-        changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
-
-    Raises:
-        ValueError: No file for the algorithm, or no entry for the task.
-    """
-    path = Path(str(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml")))
-    if algo not in ALGORITHMS or not path.is_file():
-        raise ValueError(f"No zoo_configs/{algo}.yml for algorithm {algo!r}; known are {', '.join(ALGORITHMS)}.")
-    listed = yaml.safe_load(path.read_text(encoding="utf-8"))
-    entry = listed.get(env_id(task), listed.get(LIKE))
-    if entry is None:
-        raise ValueError(f"{path} lists neither {env_id(task)!r} nor {LIKE!r}, which stands in for tasks of your own.")
-    changes = changes or {}
-    left_out = {name for name, value in changes.items() if value is None}
-    return {name: value for name, value in (entry | dict(changes)).items() if name not in left_out}
 
 
 def training_env(task: Task, n_envs: int, *, cores: int = 2) -> VecEnv:
@@ -76,7 +49,7 @@ def build_model(
     """Build the model that zoo_configs describes.
 
     Args:
-        task: Task name.
+        task: Task name, env id or file.
         env: The env to train in.
         algo: Which file of zoo_configs.
         seed: Training seed.
@@ -230,14 +203,3 @@ def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
     whole = io.BytesIO()
     model.save(whole)
     atomic_write(path, whole.getvalue())
-
-
-def load_model(path: Path, env: VecEnv, *, algo: str, seed: int) -> OnPolicyAlgorithm:
-    """Go on from a checkpoint: FrontierGRPO bit for bit, PPO with new episodes in place of those under way."""
-    model = ALGORITHMS[algo].load(path, env=env, device="cpu")
-    if not isinstance(model, FrontierGRPO):
-        fresh = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(2)
-        th.manual_seed(int(fresh[0]))
-        np.random.seed(int(fresh[0]))  # noqa: NPY002 - SB3's PPO shuffles its minibatches with it
-        env.seed(int(fresh[1]) // 2)
-    return model

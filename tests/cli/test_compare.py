@@ -87,11 +87,11 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
         patch.setattr(runs, "tell", cut_off)
         with pytest.raises(KeyboardInterrupt):
             runs.perform(cut)
-    assert (cut.folder / "model.zip").is_file()
+    assert (cut.folder / runs.CHECKPOINT).is_file()
     assert not cut.finished
     runs.perform(cut)
     assert cut.finished
-    assert not (cut.folder / "model.zip").exists()
+    assert not (cut.folder / runs.CHECKPOINT).exists()
     assert (cut.folder / "policy.safetensors").read_bytes() == (whole.folder / "policy.safetensors").read_bytes()
     histories = [TrainingHistory.load(spec.folder / "history.json") for spec in (whole, cut)]
     for name in ("successes", "trials", "groups", "timesteps", "optimizer_steps", "transitions_used", "probes"):

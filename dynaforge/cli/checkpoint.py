@@ -1,0 +1,99 @@
+"""Where a training run stands, as a file that runs no code: tensors in safetensors, counters in its JSON header.
+
+SB3's own `model.zip` is a pickle. A folder of `dynaforge compare` may come from anybody, so nothing in it is one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.random_state import RandomState
+from dynaforge.demos import atomic_write
+
+FORMAT = "dynaforge-checkpoint"
+COUNTERS = ("num_timesteps", "_n_updates", "optimizer_steps", "transitions_used", "skipped_updates")
+
+
+def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
+    """Write weights, the optimizer's state, counters and states of randomness, as a whole or not at all."""
+    with _as_of_iteration_start(model) as random:
+        counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
+    header = {"format": FORMAT, "counters": counters, "generators": random.generators if random else []}
+    tensors = {f"policy.{name}": tensor for name, tensor in model.policy.state_dict().items()}
+    for row, entries in model.policy.optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{row}.{name}": tensor for name, tensor in entries.items()}
+    tensors |= {f"random.{k}": tensor for k, tensor in enumerate(random.torch if random else ())}
+    whole = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
+    atomic_write(path, save(whole, {"dynaforge": json.dumps(header)}))
+
+
+def load_checkpoint(model: OnPolicyAlgorithm, path: Path, *, seed: int) -> None:
+    """Set a model that was built as the checkpoint's was back to it.
+
+    FrontierGRPO then goes on bit for bit; PPO with new episodes in place of those under way.
+
+    Raises:
+        ValueError: The file is no checkpoint, or one of another model.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            header = json.loads((file.metadata() or {})["dynaforge"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
+        model.policy.load_state_dict(_below("policy", tensors))
+        _restore_optimizer(model.policy.optimizer, _below("optimizer", tensors))
+        for name, count in header["counters"].items():
+            if name not in COUNTERS or type(count) is not int:
+                raise ValueError(f"{name} is {count!r}")
+            setattr(model, name, count)
+        torch_states = tuple(_below("random", tensors).values())
+        _restore_randomness(model, RandomState(tuple(header["generators"]), torch_states, model.num_timesteps), seed)
+    except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:
+        raise ValueError(
+            f"{path} is no checkpoint of this run, or is damaged ({' '.join(str(error).split())[:200]}). "
+            "Remove it to train this run from the start."
+        ) from error
+
+
+@contextlib.contextmanager
+def _as_of_iteration_start(model: OnPolicyAlgorithm) -> Iterator[RandomState | None]:
+    """Let a FrontierGRPO be as it was before the iteration under way, which a resumed run repeats; as its `save`."""
+    if isinstance(model, FrontierGRPO):
+        with model._as_of_iteration_start():
+            yield model._saved_state
+    else:
+        yield None
+
+
+def _restore_optimizer(optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
+    state: dict[int, dict[str, th.Tensor]] = {}
+    for name, tensor in tensors.items():
+        row, _, entry = name.partition(".")
+        state.setdefault(int(row), {})[entry] = tensor
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def _restore_randomness(model: OnPolicyAlgorithm, random: RandomState, seed: int) -> None:
+    if isinstance(model, FrontierGRPO):
+        random.restore_generators((model.condition_rng, model.minibatch_rng))
+        model._saved_state = random
+        return
+    fresh = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(2)
+    th.manual_seed(int(fresh[0]))
+    np.random.seed(int(fresh[0]))  # noqa: NPY002 - SB3's PPO shuffles its minibatches with it
+    assert model.env is not None
+    model.env.seed(int(fresh[1]) // 2)
+
+
+def _below(prefix: str, tensors: dict[str, Any]) -> dict[str, th.Tensor]:
+    return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}

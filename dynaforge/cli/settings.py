@@ -1,0 +1,63 @@
+"""The one place that decides with which hyperparameters a task is trained: by `forge`, `train` and `compare` alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dynaforge.registration import TASK_FILES, env_id, task_named
+from dynaforge.tasks import get_task
+
+LIKE = "DynaForge/Can-v0"
+"""The env whose settings a task takes that no file lists: one of your own."""
+
+
+def config_file(algo: str) -> Path | None:
+    """Return the file of zoo_configs for an algorithm, or None."""
+    path = Path(str(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml")))
+    return path if path.is_file() else None
+
+
+def entry_of(listed: Mapping[str, Any], env: str) -> str | None:
+    """Return the name of the entry that an env takes from a hyperparameter file, or None where there is none.
+
+    Its own; else, for the residual env of a task of your own, that of `LIKE`; else the default for all envs.
+    """
+    task = task_named(env)
+    own = task in TASK_FILES and env == env_id(task)
+    return next((name for name in (env, LIKE if own else env, "default") if name in listed), None)
+
+
+def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Read an entry of zoo_configs.
+
+    Args:
+        algo: Which file.
+        task: Task name, env id or file.
+        changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
+
+    Raises:
+        ValueError: No file for the algorithm, or no entry for the task.
+    """
+    known = known_algorithms()
+    path = config_file(algo) if algo in known else None
+    if path is None:
+        raise ValueError(f"No zoo_configs/{algo}.yml for algorithm {algo!r}; known are {', '.join(known)}.")
+    listed = yaml.safe_load(path.read_text(encoding="utf-8"))
+    env = env_id(get_task(task).name)
+    entry = entry_of(listed, env)
+    if entry in (None, "default"):
+        raise ValueError(f"{path} lists neither {env!r} nor {LIKE!r}, which stands in for tasks of your own.")
+    changes = changes or {}
+    left_out = {name for name, value in changes.items() if value is None}
+    return {name: value for name, value in (listed[entry] | dict(changes)).items() if name not in left_out}
+
+
+def known_algorithms() -> list[str]:
+    """Return the algorithms that zoo_configs has a file for."""
+    names = sorted(path.name for path in files("dynaforge.zoo_configs").iterdir())
+    return [name.removesuffix(".yml") for name in names if name.endswith(".yml") and name != "compare.yml"]
