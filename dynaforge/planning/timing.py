@@ -8,14 +8,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import toppra.solverwrapper
 from scipy.interpolate import CubicSpline  # type: ignore[import-untyped, unused-ignore]
-from toppra.algorithm import TOPPRA
-from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
-from toppra.interpolator import AbstractGeometricPath
 
 from dynaforge.geometry import Array, JointTrajectory
+from dynaforge.planning.plots_later import plots_later
 from dynaforge.sim.robot import RobotDescription
+
+with plots_later():
+    import toppra.solverwrapper
+    from toppra.algorithm import TOPPRA
+    from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
+    from toppra.interpolator import AbstractGeometricPath
 
 # TOPP-RA asks at every plan which solvers can be imported, a third of its time; the answer does not change.
 toppra.solverwrapper.available_solvers = functools.cache(toppra.solverwrapper.available_solvers)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
+import sys
 from typing import Any
 
 
@@ -13,7 +16,22 @@ def load_extra(module: str, *, extra: str = "report") -> Any:
         ImportError: It is not installed; the message says how to install it.
     """
     try:
+        if module.startswith("matplotlib") and "matplotlib" not in sys.modules:
+            _import_matplotlib()
         return importlib.import_module(module)
     except ImportError as error:
         package = module.split(".")[0]
         raise ImportError(f"This needs {package!r}. Install it with: pip install 'dynaforge[{extra}]'") from error
+
+
+def _import_matplotlib() -> None:
+    """Import it even where it would refuse MPLBACKEND: below a notebook that names another environment's backend."""
+    backend = os.environ.pop("MPLBACKEND", None)
+    try:
+        matplotlib = importlib.import_module("matplotlib")
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+    if backend:
+        with contextlib.suppress(ValueError):
+            matplotlib.rcParams["backend"] = backend
