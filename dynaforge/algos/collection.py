@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecEnv
 
 from dynaforge.algos.buffer import GroupRolloutBuffer
+from dynaforge.algos.outcomes import GroupOutcomes
 from dynaforge.algos.policies import renew_noise
 from dynaforge.envs.dispatch import EpisodeDispatcher, FinishedEpisode
 from dynaforge.envs.sampler import Job
@@ -21,6 +23,11 @@ from dynaforge.envs.vec_wrappers import take_rows
 
 if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO
+
+_READS_SUCCESS = (
+    ("group_filter", "mixed_success", "'mixed_return' or 'none'"),
+    ("scale_learning_rate", "failures", "'none'"),
+)
 
 
 def run_jobs(
@@ -48,6 +55,7 @@ def run_jobs(
     """
     dispatcher.submit(jobs)
     n_steps = 0
+    gated = np.zeros(1 + max(job.index for job in jobs), dtype=np.int64)
     while dispatcher.busy:
         if model.use_sde:
             all_rows = model.sde_sample_freq > 0 and n_steps % model.sde_sample_freq == 0
@@ -60,13 +68,18 @@ def run_jobs(
         tick = dispatcher.step(clipped_actions)
         new_obs, rewards, dones, infos = tick.new_obs, tick.rewards, tick.dones, tick.infos
         rows = np.flatnonzero(tick.acted)
-        model.num_timesteps += len(rows) if model.timesteps == "active" else env.num_envs
+        mask = np.array([infos[row].get("residual_mask", 1.0) > 0.0 for row in rows])
+        gated[tick.jobs[rows]] += mask
+        model.num_timesteps += {
+            "active": len(rows),
+            "gated": int(mask.sum()) + sum(not gated[episode.job.index] for episode in tick.finished),
+            "nominal": env.num_envs,
+        }[model.timesteps]
         callback.update_locals(locals() | {"self": model})
         if not callback.on_step():
             return False
         model._update_info_buffer(infos, dones)
         n_steps += 1
-        mask = np.array([infos[row].get("residual_mask", 1.0) > 0.0 for row in rows])
         rollout_buffer.add(take_rows(obs, rows), actions[rows], log_probs.cpu().numpy()[rows], mask, tick.jobs[rows])
         for episode in tick.finished:
             require_success(episode, model)
@@ -84,19 +97,27 @@ def env_actions(actions: NDArray[Any], policy: ActorCriticPolicy) -> NDArray[Any
 
 
 def require_success(episode: FinishedEpisode, model: FrontierGRPO) -> None:
-    """Refuse options that read success when an episode does not tell whether it succeeded.
+    """Refuse options that read success when an episode ends by itself and does not tell whether it succeeded.
 
     Raises:
         ValueError: Says so, with the remedy.
     """
-    if episode.success is not None:
+    if episode.success is not None or episode.truncated:
         return
-    for option, reading, remedy in (
-        ("group_filter", "mixed_success", "'mixed_return' or 'none'"),
-        ("scale_learning_rate", "failures", "'none'"),
-    ):
+    for option, reading, remedy in _READS_SUCCESS:
         if getattr(model, option) == reading:
             raise ValueError(
                 f"{option}={reading!r} reads info['is_success'] at the end of an episode, and this env does not give "
                 f"it. Report it there, or use {option}={remedy}."
+            )
+
+
+def warn_of_unknown_success(outcomes: GroupOutcomes, model: FrontierGRPO) -> None:
+    """Warn when all episodes of an iteration were cut off before the env said whether they succeed."""
+    for option, reading, remedy in _READS_SUCCESS:
+        if outcomes.success is None and getattr(model, option) == reading:
+            warnings.warn(
+                f"{option}={reading!r} reads info['is_success'], and every episode was cut off before the env gave it: "
+                f"all count as failures. Allow longer episodes, or use {option}={remedy}.",
+                stacklevel=3,
             )

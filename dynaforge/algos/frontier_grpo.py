@@ -21,8 +21,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from dynaforge.algos.advantages import group_advantages
 from dynaforge.algos.buffer import GroupRolloutBuffer, KeptTransitions
-from dynaforge.algos.collection import run_jobs
-from dynaforge.algos.options import check_grpo_options
+from dynaforge.algos.collection import run_jobs, warn_of_unknown_success
+from dynaforge.algos.options import check_grpo_options, check_seed, check_total_timesteps, check_whole, scheduled
 from dynaforge.algos.outcomes import GroupOutcomes
 from dynaforge.algos.policies import CriticFreeCnnPolicy, CriticFreeMultiInputPolicy, CriticFreePolicy
 from dynaforge.algos.progress import TimestepProgressBar
@@ -70,8 +70,9 @@ class FrontierGRPO(OnPolicyAlgorithm):
         target_kl: Ends an update whose approximate KL exceeds 1.5 times this.
         max_grad_norm: Gradient clipping.
         max_episode_steps: Ends longer episodes; needed for envs that never end.
-        timesteps: What `num_timesteps` counts: "active", steps taken inside episodes, or "nominal", all envs at
-            every lock step whether idle or not, as SB3 counts.
+        timesteps: What `num_timesteps` counts: "active", steps taken inside episodes; "gated", of these only the ones
+            whose action had an effect, so that gate modes "skip" and "mask" count alike (an episode without any counts
+            as one step, as under "skip"); or "nominal", all envs at every lock step whether idle or not, as SB3 counts.
         resample_max: Rounds of drawing other conditions in place of filtered groups, within an iteration.
         use_sde: Generalised state-dependent exploration; each episode has its own noise matrix.
         sde_sample_freq: Renew all noise matrices every so many steps; -1 is once an episode.
@@ -138,11 +139,12 @@ class FrontierGRPO(OnPolicyAlgorithm):
         device: th.device | str = "auto",
         _init_setup_model: bool = True,
     ) -> None:
+        check_seed(seed)
         super().__init__(
             policy,  # type: ignore[arg-type]
             env,  # type: ignore[arg-type]
             learning_rate=learning_rate,
-            n_steps=n_groups * group_size,
+            n_steps=1,  # n_groups * group_size, once they are checked
             gamma=1.0,
             gae_lambda=1.0,
             ent_coef=0.0,
@@ -187,6 +189,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
     def _setup_model(self) -> None:
         if not hasattr(self, "observation_space"):
             raise ValueError("FrontierGRPO needs an env to build its policy: pass an env id, an env or a VecEnv.")
+        check_seed(self.seed)
         check_grpo_options(self)
         self.n_steps = self.n_groups * self.group_size
         super()._setup_model()
@@ -195,6 +198,11 @@ class FrontierGRPO(OnPolicyAlgorithm):
 
     def _maybe_recommend_cpu(self, mlp_class_name: str = "CriticFreePolicy") -> None:
         super()._maybe_recommend_cpu(mlp_class_name)
+
+    def _update_current_progress_remaining(self, num_timesteps: int, total_timesteps: int) -> None:
+        """Keep progress at 0 or above: whole iterations overshoot the total, where no schedule is defined."""
+        super()._update_current_progress_remaining(num_timesteps, total_timesteps)
+        self._current_progress_remaining = max(0.0, self._current_progress_remaining)
 
     def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
         plain = super()._init_callback(callback, progress_bar=False)
@@ -213,7 +221,15 @@ class FrontierGRPO(OnPolicyAlgorithm):
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> Self:
-        """Train for at least `total_timesteps`, in whole iterations; arguments as in SB3."""
+        """Train for at least `total_timesteps`, in whole iterations; arguments as in SB3.
+
+        Raises:
+            ValueError: `total_timesteps` below 1, NaN or infinite, or `log_interval` below 1.
+            TypeError: Either is no number.
+        """
+        check_total_timesteps(total_timesteps)
+        if log_interval is not None:
+            check_whole("log_interval", log_interval, 1, "None logs nothing")
         return super().learn(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
 
     def _setup_learn(
@@ -255,7 +271,7 @@ class FrontierGRPO(OnPolicyAlgorithm):
         callback.on_rollout_start()
         sampler = StratifiedSampler(self.n_groups, self.group_size, stratified=self.stratified)
         episodes: dict[int, FinishedEpisode] = {}
-        with Stopwatch() as watch:
+        with Stopwatch() as watch, self._dispatcher.lent():
             groups = fresh = sampler.draw(self._conditions, self.condition_rng)
             for attempt in range(1 + self.resample_max):
                 goes_on = run_jobs(
@@ -268,7 +284,6 @@ class FrontierGRPO(OnPolicyAlgorithm):
                     rollout_buffer=rollout_buffer,
                 )
                 if not goes_on:
-                    self._dispatcher.release()
                     return False
                 kept = GroupOutcomes.of(fresh, episodes, self.group_size).kept(self.group_filter)
                 strata = [group.stratum for group, keep in zip(fresh, kept, strict=True) if not keep]
@@ -276,11 +291,11 @@ class FrontierGRPO(OnPolicyAlgorithm):
                     break
                 fresh = sampler.draw(self._conditions, self.condition_rng, strata=strata, first_index=len(groups))
                 groups = groups + fresh
-        self._dispatcher.release()
         self.logger.record("frontier/idle_share", self._dispatcher.idle_share)
         rollout_buffer.finish()
         self._outcomes = GroupOutcomes.of(groups, episodes, self.group_size)
         self._note_iteration(GroupOutcomes.of(groups[: self.n_groups], episodes, self.group_size))
+        warn_of_unknown_success(self._outcomes, self)
         self.logger.record("frontier/groups_run", len(groups))
         watch.log(self.logger, "collect")
         callback.update_locals(locals())
@@ -323,9 +338,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
 
     def _set_learning_rate(self) -> None:
         """Set the scheduled rate, times the share of failures where the option asks for it."""
-        rate = self.lr_schedule(self._current_progress_remaining)
-        if self.scale_learning_rate == "failures":
-            assert self.last_group_success is not None
+        rate = scheduled("learning_rate", self.lr_schedule, self._current_progress_remaining)
+        if self.scale_learning_rate == "failures" and self.last_group_success is not None:
             rate *= 1.0 - float(self.last_group_success.mean())
         update_learning_rate(self.policy.optimizer, rate)
         self.logger.record("train/learning_rate", rate)
@@ -339,13 +353,11 @@ class FrontierGRPO(OnPolicyAlgorithm):
 
     def _settings(self) -> UpdateSettings:
         progress = self._current_progress_remaining
-        assert callable(self.clip_range)
-        assert callable(self.clip_range_high)
         return UpdateSettings(
             n_epochs=self.n_epochs,
             batch_size=self.batch_size,
-            clip_low=self.clip_range(progress),
-            clip_high=self.clip_range_high(progress),
+            clip_low=scheduled("clip_range", self.clip_range, progress),
+            clip_high=scheduled("clip_range_high", self.clip_range_high, progress),
             kl_coef=self.kl_coef,
             anchor_coef=self.anchor_coef,
             target_kl=self.target_kl,

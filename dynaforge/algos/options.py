@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Sequence
+from numbers import Integral, Real
 from typing import Any
 
 GROUP_FILTERS = ("mixed_success", "mixed_return", "none")
 ADVANTAGE_SCALES = ("group", "batch", "none")
 RATE_SCALES = ("none", "failures")
 LOSS_AGGREGATIONS = ("step", "episode")
-TIMESTEP_COUNTS = ("active", "nominal")
+TIMESTEP_COUNTS = ("active", "gated", "nominal")
+LARGEST_SEED = 2**32 - 1  # of numpy's global generator, which Stable-Baselines3 seeds
+
+# Option, least value, why. Those in OPTIONAL may be None, with the meaning given there.
+WHOLE_NUMBERS = (
+    ("group_size", 2, "a lone rollout has nothing to be compared with"),
+    ("n_groups", 1, "an update needs a condition"),
+    ("n_epochs", 1, "an update passes over its transitions at least once"),
+    ("resample_max", 0, "it is a number of rounds"),
+    ("batch_size", 1, "use None for the whole update at once"),
+    ("max_episode_steps", 1, "use None for no cap"),
+    ("sde_sample_freq", -1, "-1 is once an episode"),
+    ("_stats_window_size", 1, "means are taken over that many episodes"),
+)
+WEIGHTS = ("kl_coef", "anchor_coef")
+OPTIONAL = ("batch_size", "max_episode_steps")
 
 
 def check_choice(name: str, given: object, valid: Sequence[str]) -> None:
@@ -26,14 +43,88 @@ def check_choice(name: str, given: object, valid: Sequence[str]) -> None:
     raise ValueError(f"Unknown {name} {given!r}.{hint} Valid are {', '.join(map(repr, valid))}.")
 
 
-def check_at_least(name: str, given: float, least: float, why: str) -> None:
-    """Refuse a number below its least sensible value.
+def check_whole(name: str, given: object, least: int, why: str) -> None:
+    """Refuse what is no whole number, or below its least sensible value.
 
     Raises:
-        ValueError: Names the option, the value and the reason.
+        TypeError: No whole number.
+        ValueError: Too small. Both name the option, the value and what is expected.
     """
-    if not given >= least:
+    if not isinstance(given, Integral) or isinstance(given, bool):
+        raise TypeError(f"{name} is {given!r}, but must be a whole number of at least {least}: {why}.")
+    if int(given) < least:
         raise ValueError(f"{name} is {given}, but must be at least {least}: {why}.")
+
+
+def check_number(name: str, given: object, *, above: float | None = None, finite: bool = True) -> None:
+    """Refuse what is no number, NaN, negative, or not above a bound.
+
+    Raises:
+        TypeError: No number.
+        ValueError: Out of range. Both name the option, the value and what is expected.
+    """
+    expected = "at least 0" if above is None else f"above {above:g}"
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise TypeError(f"{name} is {given!r}, but must be a number {expected}.")
+    value = float(given)
+    if math.isnan(value) or (finite and math.isinf(value)) or value < 0.0 or (above is not None and value <= above):
+        raise ValueError(f"{name} is {given}, but must be {'a finite number ' if finite else ''}{expected}.")
+
+
+def check_schedule(name: str, given: object, *, above: float | None = None) -> None:
+    """Refuse what is neither a number in range nor a function of the remaining progress.
+
+    Raises:
+        TypeError: Neither.
+        ValueError: A number out of range.
+    """
+    if callable(given):
+        return
+    if not isinstance(given, Real):
+        raise TypeError(f"{name} is {given!r}, but must be a number or a function of the remaining progress, 1 to 0.")
+    check_number(name, given, above=above, finite=above is None)
+
+
+def scheduled(name: str, schedule: Any, progress: float) -> float:
+    """Return what a schedule says at this much remaining progress.
+
+    Raises:
+        ValueError: NaN, infinity or a negative number.
+    """
+    value = float(schedule(progress))
+    if not math.isfinite(value) or value < 0.0:
+        raise ValueError(
+            f"The schedule of {name} gives {value} at remaining progress {progress:g}; expected 0 or more."
+        )
+    return value
+
+
+def check_seed(seed: object, name: str = "seed") -> None:
+    """Refuse a seed that numpy's global generator, which Stable-Baselines3 seeds, does not take.
+
+    Raises:
+        TypeError: No whole number.
+        ValueError: Negative or too large.
+    """
+    if seed is None:
+        return
+    if not isinstance(seed, Integral) or isinstance(seed, bool):
+        raise TypeError(f"{name} is {seed!r}, but must be a whole number from 0 to {LARGEST_SEED}, or None.")
+    if not 0 <= int(seed) <= LARGEST_SEED:
+        raise ValueError(f"{name} is {seed}, but must be from 0 to {LARGEST_SEED} (2**32 - 1).")
+
+
+def check_total_timesteps(given: object) -> None:
+    """Refuse to learn for no time, or for ever.
+
+    Raises:
+        TypeError: No number.
+        ValueError: Below 1, NaN or infinite.
+    """
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise TypeError(f"total_timesteps is {given!r}, but must be a number of at least 1.")
+    if not 1 <= float(given) < math.inf:
+        raise ValueError(f"total_timesteps is {given}, but must be a finite number of at least 1.")
 
 
 def check_grpo_options(model: Any) -> None:
@@ -41,25 +132,31 @@ def check_grpo_options(model: Any) -> None:
 
     Raises:
         ValueError: Names the option, what was given and what is expected.
+        TypeError: Likewise, for a value of another kind.
     """
     check_choice("group_filter", model.group_filter, GROUP_FILTERS)
     check_choice("scale_advantage", model.scale_advantage, ADVANTAGE_SCALES)
     check_choice("scale_learning_rate", model.scale_learning_rate, RATE_SCALES)
     check_choice("loss_agg", model.loss_agg, LOSS_AGGREGATIONS)
     check_choice("timesteps", model.timesteps, TIMESTEP_COUNTS)
-    check_at_least("group_size", model.group_size, 2, "a lone rollout has nothing to be compared with")
-    check_at_least("n_groups", model.n_groups, 1, "an update needs a condition")
-    check_at_least("n_epochs", model.n_epochs, 1, "an update passes over its transitions at least once")
-    check_at_least("resample_max", model.resample_max, 0, "it is a number of rounds")
-    check_at_least("kl_coef", model.kl_coef, 0.0, "it is the weight of a penalty")
-    check_at_least("anchor_coef", model.anchor_coef, 0.0, "it is the weight of a penalty")
-    if model.batch_size is not None:
-        check_at_least("batch_size", model.batch_size, 1, "use None for the whole update at once")
-    if model.max_episode_steps is not None:
-        check_at_least("max_episode_steps", model.max_episode_steps, 1, "use None for no cap")
-    if not model.max_grad_norm > 0.0:
-        raise ValueError(f"max_grad_norm is {model.max_grad_norm}, but must be above 0; float('inf') never clips.")
-    for name in ("clip_range", "clip_range_high"):
+    for name, least, why in WHOLE_NUMBERS:
         value = getattr(model, name)
-        if isinstance(value, int | float) and not value > 0.0:
-            raise ValueError(f"{name} is {value}, but must be above 0: the policy could not move.")
+        if value is not None or name not in OPTIONAL:
+            check_whole(name.removeprefix("_"), value, least, why)
+    for name in WEIGHTS:
+        check_number(name, getattr(model, name))
+    check_number("max_grad_norm", model.max_grad_norm, above=0.0, finite=False)  # infinity never clips
+    if model.target_kl is not None:
+        check_number("target_kl", model.target_kl, above=0.0)
+    check_schedule("learning_rate", model.learning_rate)
+    check_schedule("clip_range", model.clip_range, above=0.0)  # at 0 the policy could not move
+    if model.clip_range_high is not None:
+        check_schedule("clip_range_high", model.clip_range_high, above=0.0)
+    for name in ("stratified", "use_sde"):
+        if not isinstance(getattr(model, name), bool):
+            raise TypeError(f"{name} is {getattr(model, name)!r}, but must be True or False.")
+    sampler = model.condition_sampler
+    if sampler is not None and not (hasattr(sampler, "draw") and hasattr(sampler, "reset_kwargs")):
+        raise TypeError(
+            f"condition_sampler is {sampler!r}, but must have `draw` and `reset_kwargs`; None is the env's."
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,8 @@ class GroupOutcomes:
 
     Attributes:
         returns: Episodic returns, shape (N, K).
-        success: Terminal success, shape (N, K); None when the env does not say.
+        success: Terminal success, shape (N, K); None when the env does not say. Beside episodes that do, one that was
+            cut off before its env said anything counts as a failure.
         strata: Stratum of each group, shape (N,); -1 where drawn from the whole range.
         conditions: Condition of each group.
     """
@@ -36,7 +38,8 @@ class GroupOutcomes:
     def of(groups: Sequence[Group], episodes: Mapping[int, FinishedEpisode], group_size: int) -> GroupOutcomes:
         """Arrange finished episodes, keyed by job index, as one row a group."""
         rows = [[episodes[group.index * group_size + k] for k in range(group_size)] for group in groups]
-        known = all(episode.success is not None for row in rows for episode in row)
+        told = [episode.success is not None for row in rows for episode in row]
+        known = any(told) and all(t or e.truncated for t, e in zip(told, itertools.chain(*rows), strict=True))
         return GroupOutcomes(
             returns=np.array([[episode.total_reward for episode in row] for row in rows]),
             success=np.array([[bool(episode.success) for episode in row] for row in rows]) if known else None,

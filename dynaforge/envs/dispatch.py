@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,8 @@ class FinishedEpisode:
         total_reward: Sum of rewards; for DynaForge envs the R of Eq. 6.
         length: Steps taken.
         success: The env's "is_success" at the end, or None when it says nothing.
-        capped: The dispatcher ended it at `max_episode_steps`.
+        truncated: It was cut off, by the dispatcher or by a TimeLimit.
+        capped: The dispatcher cut it off, at `max_episode_steps`.
         info: The env's last info.
     """
 
@@ -36,6 +38,7 @@ class FinishedEpisode:
     total_reward: float
     length: int
     success: bool | None
+    truncated: bool
     capped: bool
     info: dict[str, Any]
 
@@ -92,6 +95,7 @@ class EpisodeDispatcher:
         self._starting = np.zeros(self.n_envs, dtype=bool)
         self._returns = np.zeros(self.n_envs)
         self._lengths = np.zeros(self.n_envs, dtype=np.int64)
+        self._tells_success = False
         self._obs: Observations | None = None
         self._t0 = time.monotonic()
         self.ticks = 0
@@ -148,6 +152,17 @@ class EpisodeDispatcher:
         self._acting[:] = self._starting[:] = False
         self._job = [None] * self.n_envs
         self._route.release()
+
+    @contextlib.contextmanager
+    def lent(self) -> Iterator[None]:
+        """Release the VecEnv however the block ends; what ended it is not hidden by an env that cannot be released."""
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(RuntimeError, OSError):  # a worker that died, a VecEnv that was closed
+                self.release()
+            raise
+        self.release()
 
     def _hand_out(self) -> None:
         for index in np.flatnonzero(~(self._acting | self._starting)).tolist():
@@ -206,6 +221,11 @@ class EpisodeDispatcher:
         if capped:
             info["TimeLimit.truncated"] = True
             self._route.drop(index)
+        truncated = bool(info.get("TimeLimit.truncated", False))
+        if "is_success" in info:
+            self._tells_success = True
+        elif truncated and self._tells_success:
+            info["is_success"] = False  # many envs report success only with an end of their own
         last = info.get("terminal_observation")
         info["terminal_observation"] = self._stack.peek(take_rows(raw, index) if last is None else last)
         total, length = float(self._returns[index]), int(self._lengths[index])
@@ -214,7 +234,8 @@ class EpisodeDispatcher:
         info.setdefault("episode", episode)
         success = info.get("is_success")
         self._job[index] = None
-        return FinishedEpisode(job, total, length, None if success is None else bool(success), capped, info)
+        won = None if success is None else bool(success)
+        return FinishedEpisode(job, total, length, won, truncated, capped, info)
 
     def _check_finite(self, raw: Observations, rewards: NDArray[np.float64], worked: NDArray[np.bool_]) -> None:
         parts = raw.items() if isinstance(raw, dict) else [("", raw)]

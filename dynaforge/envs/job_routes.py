@@ -62,8 +62,8 @@ class NativeRoute:
 
     def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
         if not self._parking:
+            self._parking = True  # first: a Ctrl-C inside the call must not hide that it may have been heard
             self._base.park_when_done(True)
-            self._parking = True
         self._base.assign(index, dict(reset_kwargs))
 
     def drop(self, index: int) -> None:

@@ -94,12 +94,13 @@ class WrapperStack:
         return raw
 
     def report_episode(self, episode: dict[str, Any], info: dict[str, Any]) -> None:
-        """Let every VecMonitor note a finished episode."""
+        """Let every VecMonitor note a finished episode; one that was cut off may lack what its env says at an end."""
         for wrapper in self.wrappers:
             if isinstance(wrapper, VecMonitor):
                 wrapper.episode_count += 1
                 if wrapper.results_writer:
-                    wrapper.results_writer.write_row(episode | {key: info[key] for key in wrapper.info_keywords})
+                    told = {key: info.get(key, False if key == "is_success" else None) for key in wrapper.info_keywords}
+                    wrapper.results_writer.write_row(episode | told)
 
 
 def _transform(wrapper: VecEnvWrapper, obs: Observations) -> Observations:

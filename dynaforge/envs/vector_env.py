@@ -71,6 +71,7 @@ class SharedMemoryVecEnv(VecEnv):
         if not timeout > 0:
             raise ValueError(f"timeout is {timeout}, expected seconds above 0.")
         self._assigned: dict[int, dict[str, Any]] = {}
+        self._parking = False
         self._pool = WorkerPool(env_fns, n_workers=min(n_workers, n_envs), timeout=timeout)
         try:
             self._share_memory()
@@ -83,9 +84,15 @@ class SharedMemoryVecEnv(VecEnv):
         """Switch job mode on or off.
 
         On, an env whose episode ends idles instead of being reset, and so does an env that was never reset. An idle
-        env does not simulate: its observation stays, reward 0, done False, info {"idle": True}. Off, the next
-        episode's end is followed by an automatic reset; envs that idle already wait for `assign` or `reset`.
+        env does not simulate: its observation stays, reward 0, done False, info {"idle": True}. Off, assignments that
+        have not begun are forgotten, an episode's end is followed by an automatic reset, and an env that idles is reset
+        at the next step as if it had been assigned an episode of its own drawing: no row stays idle.
+
+        Rewards are float64 in job mode, where they are summed up, and float32 otherwise, as those of DummyVecEnv.
         """
+        self._parking = bool(flag)
+        if not flag:
+            self._assigned = {}
         self._pool.exchange({w: dump(("park", bool(flag))) for w in range(len(self._pool.shares))})
 
     def assign(self, index: int, reset_kwargs: dict[str, Any]) -> None:
@@ -107,6 +114,7 @@ class SharedMemoryVecEnv(VecEnv):
             {"seed": seed, "options": options} if options else {"seed": seed}
             for seed, options in zip(self._seeds, self._options, strict=True)
         ]
+        self._assigned = {}
         for index, reset_kwargs in enumerate(kwargs):
             self._pool.labels[index] = _describe(reset_kwargs)
         shares = self._pool.shares
@@ -131,7 +139,7 @@ class SharedMemoryVecEnv(VecEnv):
         self._pool.post(messages)
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Wait for the step: observations, rewards (float32), dones (bool) and infos of all envs, as fresh copies."""
+        """Wait for the step: observations, rewards, dones (bool) and infos of all envs, as fresh copies."""
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         status = None
         for payload in self._pool.collect().values():
@@ -152,7 +160,8 @@ class SharedMemoryVecEnv(VecEnv):
                 info["idle"] = True
             elif code != STARTED:
                 info["TimeLimit.truncated"] = code == TRUNCATED
-        return self._observations(), self._rewards.copy(), self._dones.copy(), infos
+        rewards = self._rewards.astype(np.float64 if self._parking else np.float32)
+        return self._observations(), rewards, self._dones.copy(), infos
 
     def close(self) -> None:
         """End the workers; returns within 2 s whatever state they are in, and may be called again."""
@@ -208,7 +217,7 @@ class SharedMemoryVecEnv(VecEnv):
         }
         fields |= {
             "actions": ((n, *(action_space.shape or ())), action_space.dtype),
-            "rewards": ((n,), np.float32),
+            "rewards": ((n,), np.float64),
             "dones": ((n,), np.bool_),
             "status": ((n,), np.uint8),
             "running": ((workers,), np.int64),

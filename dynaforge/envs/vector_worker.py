@@ -154,8 +154,8 @@ class EnvRunner:
         infos: dict[int, Info] = {}
         resets: dict[int, Info] = {}
         for local, index in enumerate(range(self._first, self._first + len(self._envs))):
-            if index in assigned:
-                resets[index] = self._start(local, assigned[index])
+            if index in assigned or (self._idle[local] and not self._park):
+                resets[index] = self._start(local, assigned.get(index, {}))
                 self._write(index, 0.0, False, STARTED)
             elif self._idle[local]:
                 self._write(index, 0.0, False, IDLE)
@@ -168,7 +168,10 @@ class EnvRunner:
         return [self._start(local, kwargs) for local, kwargs in enumerate(arguments)]
 
     def park(self, flag: bool) -> None:
-        """Choose what follows an episode's end: idling (True) or an automatic reset. Envs never reset idle too."""
+        """Choose what follows an episode's end: idling (True) or an automatic reset. Envs never reset idle too.
+
+        Without parking an env that idles is reset at the next step.
+        """
         self._park = flag
         if flag:
             self._idle = [idle or not begun for idle, begun in zip(self._idle, self._begun, strict=True)]

@@ -13,7 +13,7 @@ from small_models import envs, equal, small, weights
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 from toy_envs import EndlessEnv, MatchEnv, TargetSampler
 
 from dynaforge.algos import FrontierGRPO
@@ -148,6 +148,58 @@ def test_endless_envs_are_ended_at_the_cap():
     model = small(DummyVecEnv([EndlessEnv] * 3), group_filter="mixed_return", max_episode_steps=5).learn(1)
     assert model.num_timesteps == 16 * 5
     assert all(info["l"] == 5 for info in model.ep_info_buffer)
+
+
+class TellsAtItsOwnEnd(MatchEnv):
+    """Reports success only when the episode ends by itself: after three steps, or after one where it is easy."""
+
+    def __init__(self) -> None:
+        super().__init__(short_when_easy=True)
+
+
+@pytest.mark.parametrize("cap", ["own", "TimeLimit"])
+def test_a_truncated_episode_has_not_succeeded(cap, tmp_path):
+    make = TellsAtItsOwnEnd if cap == "own" else lambda: gym.wrappers.TimeLimit(TellsAtItsOwnEnd(), 2)
+    env = VecMonitor(DummyVecEnv([make] * 2), str(tmp_path / "m"), info_keywords=("is_success",))
+    model = small(env, group_filter="none", max_episode_steps=2 if cap == "own" else None).learn(1)
+    won = model.last_group_success
+    assert won[:2].any()  # easy ones end in time
+    assert not won[2:].any()
+    assert np.mean(model.ep_success_buffer) == pytest.approx(won.mean())
+    env.close()
+    rows = (tmp_path / "m.monitor.csv").read_text().splitlines()[2:]
+    assert sum(row.endswith("True") for row in rows) == won.sum()
+
+
+def test_an_iteration_of_which_nothing_ended_by_itself_teaches_nothing_and_says_so():
+    model = small(envs(2), max_episode_steps=1, scale_learning_rate="failures")
+    before = weights(model)
+    with pytest.warns(UserWarning, match="every episode was cut off"):
+        model.learn(1)
+    assert model.skipped_updates == 1
+    assert equal(before, weights(model))
+
+
+@pytest.mark.parametrize("total", [1, 100])
+def test_no_schedule_sees_progress_beyond_the_end(total):
+    seen = []
+
+    def schedule(left):
+        seen.append(left)
+        return 0.1 * left
+
+    options = {"learning_rate": schedule, "clip_range": schedule, "clip_range_high": schedule}
+    model = small(envs(4), group_filter="none", **options).learn(total)
+    assert model.num_timesteps > total
+    assert min(seen) == 0.0
+    assert model.policy.optimizer.param_groups[0]["lr"] == 0.0
+
+
+@pytest.mark.parametrize("gives", [-1e-3, float("nan")])
+def test_a_schedule_that_leaves_its_range_is_refused_by_name(gives):
+    model = small(envs(2), group_filter="none", learning_rate=lambda left: 1e-3 if left == 1.0 else gives)
+    with pytest.raises(ValueError, match="schedule of learning_rate gives"):
+        model.learn(200)
 
 
 def test_gsde_rollouts_of_a_group_explore_differently():

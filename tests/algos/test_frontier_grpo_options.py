@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from toy_envs import MatchEnv
 
 from dynaforge.algos import FrontierGRPO
+from dynaforge.envs.vector_env import SharedMemoryVecEnv
 
 # --- options ---------------------------------------------------------------------------------------------------------
 
@@ -27,7 +28,7 @@ from dynaforge.algos import FrontierGRPO
         ({"group_filter": "mixed_sucess"}, "Did you mean 'mixed_success'"),
         ({"scale_advantage": "std"}, "Unknown scale_advantage 'std'"),
         ({"loss_agg": "steps"}, "Did you mean 'step'"),
-        ({"timesteps": "all"}, "'active', 'nominal'"),
+        ({"timesteps": "all"}, "'active', 'gated', 'nominal'"),
         ({"batch_size": 0}, "batch_size is 0"),
         ({"n_epochs": 0}, "n_epochs is 0"),
         ({"resample_max": -1}, "resample_max is -1"),
@@ -35,11 +36,42 @@ from dynaforge.algos import FrontierGRPO
         ({"max_grad_norm": 0.0}, "max_grad_norm is 0.0"),
         ({"max_episode_steps": 0}, "max_episode_steps is 0"),
         ({"scale_learning_rate": "failure"}, "Did you mean 'failures'"),
+        ({"target_kl": -1}, "target_kl is -1"),
+        ({"clip_range_high": float("nan")}, "clip_range_high is nan"),
+        ({"seed": -1}, "seed is -1"),
+        ({"seed": 2**32}, "seed is 4294967296"),
     ],
 )
 def test_wrong_options_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         small(envs(1), **options)
+
+
+NUMBERS = {
+    "whole": ("n_groups", "group_size", "n_epochs", "batch_size", "resample_max", "max_episode_steps", "seed"),
+    "real": ("learning_rate", "clip_range", "clip_range_high", "kl_coef", "anchor_coef", "target_kl", "max_grad_norm"),
+}
+BAD = {"whole": (2.5, "8", True, -2, float("nan")), "real": ("fast", -1.0, float("nan"), True, [1.0])}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, names in NUMBERS.items() for name in names])
+def test_a_bad_number_is_refused_at_construction_in_one_line_that_names_it(kind, name):
+    for value in BAD[kind]:
+        with pytest.raises((TypeError, ValueError)) as caught:
+            small(envs(1), **{name: value})
+        assert str(caught.value).startswith(f"{name} is {value!r}")
+        assert "must be" in str(caught.value)
+
+
+@pytest.mark.parametrize("steps", [-5, 0, float("nan"), float("inf"), "many", None])
+def test_learning_for_no_time_is_refused(steps):
+    with pytest.raises((TypeError, ValueError), match=f"total_timesteps is {steps!r}"):
+        small(envs(1)).learn(steps)
+
+
+@pytest.mark.parametrize("seed", [None, 0, 2**32 - 1])
+def test_every_seed_works(seed):
+    small(envs(2), seed=seed).learn(1)
 
 
 def test_mixed_success_on_an_env_without_success_names_the_remedy():
@@ -126,6 +158,38 @@ def test_stock_callbacks_work(tmp_path):
 def test_the_progress_bar_counts_what_the_algorithm_counts(capsys):
     small(envs(5)).learn(48, progress_bar=True)
     assert "48/48" in capsys.readouterr().err
+
+
+class Raises(BaseCallback):
+    def __init__(self, what: BaseException, at: int) -> None:
+        super().__init__()
+        self._what, self._at = what, at
+
+    def _on_step(self):
+        if self.n_calls == self._at:
+            raise self._what
+        return True
+
+
+@pytest.mark.parametrize("what", [KeyboardInterrupt(), ValueError("from a callback")])
+@pytest.mark.parametrize("kind", ["native", "in process"])
+def test_an_interrupted_iteration_gives_the_env_back(what, kind):
+    fns = [MatchEnv] * 3
+    env = SharedMemoryVecEnv(fns, n_workers=1) if kind == "native" else DummyVecEnv(fns)
+    try:
+        for at in (2, 5, 6):  # among others while a row has ended and waits for its next episode
+            model = small(env)
+            with pytest.raises(type(what)):
+                model.learn(1000, callback=Raises(what, at))
+            ended = 0
+            for _ in range(8):  # without a reset: no row stays idle
+                *_, dones, infos = env.step(np.zeros((3, 1), np.float32))
+                assert not any("idle" in info for info in infos)
+                ended += int(dones.sum())
+            assert ended >= 3
+            assert evaluate_policy(model, env, n_eval_episodes=4, warn=False)[0] >= 0.0
+    finally:
+        env.close()
 
 
 def test_the_env_is_usable_after_training():

@@ -264,6 +264,36 @@ def test_job_mode_needs_no_reset_and_runs_jobs_in_any_env(make):
     assert env.get_attr("n_steps") == [0, 0, 1]
 
 
+def test_a_vec_env_that_leaves_job_mode_leaves_no_row_idle(make):
+    env = make(3)
+    env.park_when_done(True)
+    env.assign(0, {"options": {"length": 1}})
+    env.step(np.zeros((3, 2)))
+    env.step(np.zeros((3, 2)))
+    env.assign(1, {"options": {"length": 7}})  # never begun
+    env.park_when_done(False)
+    *_, dones, infos = env.step(np.zeros((3, 2)))
+    assert not dones.any()
+    assert [info["length"] for info in infos] == [env.reset_infos[i]["length"] for i in range(3)] != [7] * 3
+    assert all(info["episode_start"] for info in infos)
+    env.assign(2, {"options": {"length": 7}})
+    env.reset()
+    *_, infos = env.step(np.zeros((3, 2)))
+    assert "episode_start" not in infos[2]
+
+
+def test_rewards_of_job_mode_are_not_rounded(make):
+    env = make(2)
+    env.park_when_done(True)
+    env.assign(0, {"seed": 3, "options": {"length": 5}})
+    env.step(np.zeros((2, 2)))
+    single = RandomWalk()
+    single.reset(seed=3, options={"length": 5})
+    action = np.full(2, 0.1, np.float32)
+    _, rewards, *_ = env.step(np.stack([action] * 2))
+    assert rewards[0] == single.step(action)[1]
+
+
 def test_without_parking_an_assigned_episode_is_followed_by_an_automatic_reset(make):
     env = make(1)
     env.reset()
