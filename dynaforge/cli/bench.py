@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import json
 import os
 import platform
@@ -12,18 +11,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.bench_data import demonstrations, replay, window, writing
-from dynaforge.cli.bench_determinism import one_trajectory, zero_residual
 from dynaforge.cli.bench_figure import Figure
-from dynaforge.cli.bench_limits import finger_speed, global_planner
-from dynaforge.cli.bench_speed import control_rate, scene_reset
-from dynaforge.cli.bench_training import collection, trainer
-from dynaforge.cli.bench_vector import vectorised, worker_killed
-from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
+from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write, check_writable
 from dynaforge.tasks import Task
@@ -32,21 +26,27 @@ QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which not
 
 Measurement = Callable[[Task, int], list[Figure]]
 
+
+def _of(module: str) -> Any:
+    """Import what measures when it is to measure: torch takes seconds."""
+    return import_module(f"dynaforge.cli.{module}")
+
+
 MEASUREMENTS: dict[str, Measurement] = {
-    "finger-speed": lambda task, rounds: finger_speed(task),
-    "zero-residual": lambda task, rounds: zero_residual(task),
-    "one-trajectory": lambda task, rounds: one_trajectory(task),
-    "reset": lambda task, rounds: scene_reset(task, rounds=rounds),
-    "control-steps": lambda task, rounds: control_rate(task, rounds=rounds),
-    "vectorised": lambda task, rounds: vectorised(task, rounds=rounds),
-    "trainer": lambda task, rounds: trainer(task, rounds=rounds),
-    "collection": lambda task, rounds: collection(task, rounds=rounds),
-    "writing": lambda task, rounds: writing(task, rounds=rounds),
-    "window": lambda task, rounds: window(rounds=rounds),
-    "replay": lambda task, rounds: replay(task),
-    "worker-killed": lambda task, rounds: worker_killed(task, rounds=min(rounds, 3)),
-    "global-planner": lambda task, rounds: global_planner(task),
-    "demonstrations": lambda task, rounds: demonstrations(task),
+    "finger-speed": lambda task, rounds: _of("bench_limits").finger_speed(task),
+    "zero-residual": lambda task, rounds: _of("bench_determinism").zero_residual(task),
+    "one-trajectory": lambda task, rounds: _of("bench_determinism").one_trajectory(task),
+    "reset": lambda task, rounds: _of("bench_speed").scene_reset(task, rounds=rounds),
+    "control-steps": lambda task, rounds: _of("bench_speed").control_rate(task, rounds=rounds),
+    "vectorised": lambda task, rounds: _of("bench_vector").vectorised(task, rounds=rounds),
+    "trainer": lambda task, rounds: _of("bench_training").trainer(task, rounds=rounds),
+    "collection": lambda task, rounds: _of("bench_training").collection(task, rounds=rounds),
+    "writing": lambda task, rounds: _of("bench_data").writing(task, rounds=rounds),
+    "window": lambda task, rounds: _of("bench_data").window(rounds=rounds),
+    "replay": lambda task, rounds: _of("bench_data").replay(task),
+    "worker-killed": lambda task, rounds: _of("bench_vector").worker_killed(task, rounds=min(rounds, 3)),
+    "global-planner": lambda task, rounds: _of("bench_limits").global_planner(task),
+    "demonstrations": lambda task, rounds: _of("bench_data").demonstrations(task),
 }
 """What can be measured, by its name for `--only`, in the order of the table."""
 
@@ -54,28 +54,15 @@ LONG = frozenset({"demonstrations"})
 """What takes more than five minutes and is measured only when named."""
 
 
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `bench`."""
-    add_task_argument(parser, "--task", several=True)
-    listed = ", ".join(f"{name} (if named, minutes)" if name in LONG else name for name in MEASUREMENTS)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {listed}")
-    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds of each measurement of speed")
-    parser.add_argument(
-        "--out", type=Path, help="write the figures and the rounds behind them here, e.g. results/bench.json"
-    )
-
-
 def run(options: argparse.Namespace) -> int:
     """Measure and print the table; returns 1 when a figure is missed, else 0.
 
     Raises:
-        ValueError: An unknown name, no rounds, an unknown task.
+        ValueError: An unknown task.
         OSError: `--out` cannot be written.
     """
     tasks = chosen_tasks(options)
     chosen = _chosen(options.only)
-    if options.rounds < 1:
-        raise ValueError(f"--rounds is {options.rounds}; it must be at least 1.")
     if options.out is not None:
         _check_out(options.out)
     machine = _machine()
@@ -104,11 +91,6 @@ def table(figures: Sequence[Figure]) -> str:
 
 
 def _chosen(only: Sequence[str] | None) -> list[str]:
-    for name in only or ():
-        if name not in MEASUREMENTS:
-            close = difflib.get_close_matches(name, MEASUREMENTS, n=1)
-            hint = f" Did you mean {close[0]!r}?" if close else ""
-            raise ValueError(f"No figure {name!r}.{hint} Known are {', '.join(MEASUREMENTS)}.")
     return [name for name in MEASUREMENTS if (name not in LONG if only is None else name in only)]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import queue
 import subprocess
 import sys
@@ -19,31 +18,14 @@ from typing import Any
 from tqdm import tqdm
 
 from dynaforge.cli import training
-from dynaforge.cli.forge import make_folder, minutes
-from dynaforge.cli.runs import Exam, RunSpec, arms
-from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
+from dynaforge.cli.forge import make_folder
+from dynaforge.cli.runs import Exam, RunSpec
+from dynaforge.cli.settings import arms
+from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
-from dynaforge.tasks import STREAMS, task_source
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `compare`."""
-    add_task_argument(parser, "--task", several=True)
-    parser.add_argument("--algos", nargs="+", default=["ppo", "grpo", "frontier_grpo"], help=f"of {', '.join(arms())}")
-    parser.add_argument("--train-seeds", type=int, default=3, help="training seeds 0, 1, ... of each")
-    parser.add_argument("--steps", type=float, default=1e5, help="environment steps of a run, about 50 updates")
-    parser.add_argument("--stream", default="test", choices=STREAMS, help="choose on val, report on test")
-    parser.add_argument("--seeds", type=int, default=3, help="blocks of conditions that measure a finished policy")
-    parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
-    parser.add_argument(
-        "--vary", nargs="+", metavar=("SETTING", "VALUE"), help="an arm for each value, e.g. learning_rate 5e-4 1e-3"
-    )
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="runs at a time, one core each")
-    parser.add_argument("--budget", type=minutes, help="stop after so long (90s, 10m, 8h); the same command goes on")
-    parser.add_argument("--out", type=Path, default=Path("runs/compare"), help="folder of the runs and the report")
-    parser.add_argument("--report-only", action="store_true", help="start nothing, report what is stored")
+from dynaforge.tasks import task_source
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,19 +6,10 @@ import argparse
 from itertools import islice
 from pathlib import Path
 
-from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
+from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.demos import atomic_write
 from dynaforge.registration import env_id
 from dynaforge.tasks import TASK_NAMES, Task, get_task
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `list` or `describe`."""
-    if command == "describe":
-        add_task_argument(parser, "task")
-        parser.add_argument(
-            "--out", type=Path, help="folder for the page and a picture of the skill; with all, a contact sheet too"
-        )
 
 
 def run(options: argparse.Namespace) -> int:

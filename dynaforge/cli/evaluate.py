@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from datetime import UTC, datetime
 from itertools import islice
@@ -13,35 +12,16 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.cli.task_arguments import add_task_argument, chosen_tasks
+from dynaforge.cli.arguments import GENERATORS
+from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.generators import Exploring, Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
 from dynaforge.sim.spec import asset_path
-from dynaforge.tasks import STREAMS, Task
+from dynaforge.tasks import Task
 
-GENERATORS = ("planner_only", "residual", "exploring", "oracle")
 BINS = 8
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `evaluate`."""
-    add_task_argument(parser, "--task", several=True)
-    parser.add_argument("--generator", nargs="+", default=["planner_only"], help=f"of {', '.join(GENERATORS)}")
-    parser.add_argument("--policy", type=Path, help="policy file, for the generator residual; default: the shipped one")
-    parser.add_argument("--stream", default="val", choices=STREAMS, help="choose on val, report on test")
-    parser.add_argument("--seeds", type=int, default=3, help="blocks of conditions")
-    parser.add_argument("--attempts", type=int, default=100, help="conditions a block")
-    parser.add_argument("--strata", action="store_true", help=f"spread each block evenly over {BINS} difficulty bins")
-    parser.add_argument("--oracle-tries", type=int, default=64, help="constant residuals a condition")
-    parser.add_argument("--sigma", type=float, default=0.25, help="exploration of the generator exploring")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        help="JSON file, conditions and outcomes included; by default runs/evaluate/GENERATORS-STREAM.json",
-    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,32 +6,14 @@ import argparse
 import os
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset, Episode
-from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
-from dynaforge.demos.exporters.frames import ACTIONS
+from dynaforge.demos.exporters import Frames, exporter, read_frames
 from dynaforge.demos.observations import FOLDER, ObservationFolder
 from dynaforge.reports.card import write_card
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `export`."""
-    listed = "; ".join(f"{name}: {text}" for name, text in FORMATS.items())
-    add_dataset_arguments(parser)
-    parser.add_argument("--format", required=True, choices=list(FORMATS), help=listed)
-    parser.add_argument(
-        "--actions", default="ee", choices=ACTIONS, help="end-effector pose or joint positions, and width"
-    )
-    parser.add_argument(
-        "--observations", type=Path, help=f"folder of `dynaforge render`; by default {FOLDER}/ if there"
-    )
-    parser.add_argument("--failures", action="store_true", help="failed recordings too (collect --keep-failures)")
-    parser.add_argument("--license", default="MIT", help="SPDX identifier for the card")
-    parser.add_argument("--out", type=Path, help="new folder; by default FOLDER-FORMAT")
 
 
 def run(options: argparse.Namespace) -> int:

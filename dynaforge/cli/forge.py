@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import os
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -20,7 +18,7 @@ from tqdm import tqdm
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import training
 from dynaforge.cli.film import film_clips
-from dynaforge.cli.task_arguments import add_task_argument, chosen_task
+from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
@@ -46,38 +44,6 @@ from dynaforge.tasks import Task
 
 SAVED_EVERY = 10  # updates: what a kill may cost of the policy
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `forge`."""
-    add_task_argument(parser, "--task")
-    parser.add_argument(
-        "--budget", type=minutes, default="13m", help="wall time for everything: 90s, 10m, 1.5h, or minutes"
-    )
-    parser.add_argument("--updates", type=int, help="stop training after so many updates, even if time is left")
-    parser.add_argument("--demos", type=int, default=50, help="successful demonstrations to collect")
-    parser.add_argument("--attempts", type=int, default=100, help="fresh conditions of each measurement")
-    parser.add_argument("--seed", type=int, default=0, help="training seed")
-    parser.add_argument("--algo", default="frontier_grpo", help="which file of zoo_configs to train with")
-    parser.add_argument("--residual-frame", choices=("target", "world"), help="instead of the task's own")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--out", type=Path, help="new or empty folder; by default the next free runs/TASK-N")
-
-
-def minutes(text: str) -> float:
-    """Read a span such as "90s", "10m", "1.5h", or a bare number of minutes.
-
-    Raises:
-        argparse.ArgumentTypeError: None of these.
-    """
-    units = {"s": 1 / 60, "m": 1.0, "h": 60.0}
-    try:
-        value = float(text[:-1]) * units[text[-1]] if text[-1:] in units else float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no span of time; write 90s, 10m or 1.5h")
-    return value
 
 
 def make_folder(folder: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
 from dynaforge.demos.exporters.frames import ACTION_NAMES
@@ -16,11 +16,6 @@ from dynaforge.tasks import Task
 
 PARTS = 16  # of a condition's range
 RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `info`."""
-    add_dataset_arguments(parser)
 
 
 def run(options: argparse.Namespace) -> int:

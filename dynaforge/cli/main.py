@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import difflib
 import errno
 import os
+import re
 import shlex
 import signal
 import sys
@@ -14,24 +14,9 @@ import threading
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 
-COMMANDS = {
-    "forge": "from nothing to demonstrations: measure the prior, train, measure again, collect, report",
-    "list": "the tasks",
-    "describe": "one task: motion, randomisation, phases, success",
-    "evaluate": "demonstration generation rate of a generator on stored condition streams",
-    "collect": "demonstrations into a folder, on all cores; resumes",
-    "info": "what a folder of demonstrations holds: rates, lengths, ranges, size",
-    "render": "pictures and point clouds of collected episodes, in a second pass; resumes",
-    "view": "one HTML page to look through a folder of demonstrations: clips, plots, filters",
-    "export": "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",
-    "verify": "check a folder of demonstrations: bytes, values, outcomes; --replay simulates them again",
-    "compare": "train several algorithms on the same tasks and seeds, measure and report; resumes",
-    "bench": "the project's figures: speed, determinism, limits",
-    "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
-    "enjoy": "rl_zoo3's enjoy: play a trained policy",
-    "record_video": "rl_zoo3's record_video: an MP4 of it",
-}
-ZOO = ("train", "enjoy", "record_video")
+from dynaforge.cli.commands import COMMANDS, ZOO
+from dynaforge.cli.terminal import show_anything
+from dynaforge.cli.versions import PACKAGES, package_versions
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,30 +28,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Read when numpy and torch are first imported, below. The cores belong to the workers: on networks as small as
     # these, a second thread only takes a core away from them.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    show_anything()
     if arguments and arguments[0] in ZOO:
         from dynaforge.cli.zoo import main as zoo
 
         return zoo(arguments)
     name = arguments[0] if arguments else ""
     if name not in COMMANDS:
-        return _overview(name)
-    module = import_module(f"dynaforge.cli.{name.replace('list', 'describe')}")
-    parser = argparse.ArgumentParser(
-        prog=f"dynaforge {name}", description=COMMANDS[name], formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    module.add_arguments(parser, name)
-    options = parser.parse_args(arguments[1:])
-    options.command = shlex.join(["dynaforge", *arguments])
+        return _overview(name, arguments[1:])
+    command = COMMANDS[name]
     try:
         with _sigterm_as_ctrl_c():
-            return int(module.run(options))
+            options = command.read(name, arguments[1:])
+            options.command = shlex.join(["dynaforge", *arguments])
+            return int(import_module(f"dynaforge.cli.{command.module or name}").run(options))
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # as with `| head`: nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
-        print(f"dynaforge {name}: {error}{_remedy(error)}", file=sys.stderr)
+        message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
+        print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)
         return 2
 
 
@@ -88,15 +71,30 @@ def _remedy(error: Exception) -> str:
     return ". Files that are there are whole; make room, then run the same command again" if full else ""
 
 
-def _overview(name: str) -> int:
-    asked = name in ("-h", "--help", "")
-    if not asked:
-        close = difflib.get_close_matches(name, COMMANDS, n=1)
+def _overview(name: str, rest: Sequence[str]) -> int:
+    texts = {command: about.text for command, about in COMMANDS.items()} | ZOO
+    if name in ("-V", "--version"):
+        return _version(rest)
+    if name not in ("-h", "--help", ""):
+        close = difflib.get_close_matches(name, texts, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
         print(f"dynaforge: no command {name!r}.{hint} `dynaforge --help` lists them.", file=sys.stderr)
         return 2
     print("usage: dynaforge COMMAND [--help]\n")
-    for command, text in COMMANDS.items():
+    for command, text in texts.items():
         print(f"  {command:<12} {text}")
     print("\nFirst steps: `dynaforge forge --task can` (about 15 minutes), or `dynaforge list`.")
+    print("`dynaforge --version` tells the version, `dynaforge --version all` those of what results depend on too.")
+    return 0
+
+
+def _version(rest: Sequence[str]) -> int:
+    if list(rest) not in ([], ["all"]):
+        print(f"dynaforge: --version is followed by nothing or 'all', not by {rest[0]!r}.", file=sys.stderr)
+        return 2
+    versions = package_versions(PACKAGES if rest else PACKAGES[:1])
+    for package, version in versions.items():
+        print(f"{package} {version}")
+    if rest:
+        print(f"python {sys.version.split()[0]}")
     return 0

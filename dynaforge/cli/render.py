@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -12,7 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.observations import (
     FOLDER,
@@ -27,24 +26,6 @@ from dynaforge.sim.camera import Camera
 from dynaforge.tasks import Task
 
 AT_A_TIME = 8  # episodes handed to a worker
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `render`."""
-    add_dataset_arguments(parser)
-    parser.add_argument("--cameras", nargs="+", default=["front", "wrist"], help="of front, side, wrist, or your own")
-    parser.add_argument(
-        "--camera-file", type=Path, help="JSON list of cameras of your own: name, eye, look_at, up, in_hand, size, fov"
-    )
-    parser.add_argument("--size", nargs=2, type=int, metavar=("W", "H"), help="pixels (default 128 128)")
-    parser.add_argument("--points", type=int, default=0, help="size of the point clouds, e.g. 1024; 0 for none")
-    parser.add_argument("--no-images", action="store_true", help="keep the point clouds only")
-    parser.add_argument(
-        "--workspace", nargs=6, type=float, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        default=[*WORKSPACE[0], *WORKSPACE[1]], help="box that the points are cropped to, metres",
-    )  # fmt: skip
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--out", type=Path, help=f"folder of the observations (default: {FOLDER}/ in the dataset's)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -83,8 +64,9 @@ def _settings(options: argparse.Namespace, task: Task) -> ObservationSettings:
     cameras = [known[name] for name in options.cameras]
     if options.size:
         cameras = [replace(camera, size=tuple(options.size)) for camera in cameras]
-    low, high = tuple(options.workspace[:3]), tuple(options.workspace[3:])
-    return ObservationSettings(tuple(cameras), not options.no_images, options.points, (low, high))
+    corners = options.workspace
+    workspace = (tuple(corners[:3]), tuple(corners[3:])) if corners else WORKSPACE
+    return ObservationSettings(tuple(cameras), not options.no_images, options.points, workspace)
 
 
 _renderer: ObservationRenderer | None = None

@@ -11,12 +11,9 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from dynaforge.cli.settings import hyperparameters
 from dynaforge.cli.versions import package_versions
@@ -127,12 +124,6 @@ class RunSpec:
             raise ValueError(
                 f"{self.folder} holds a run with {was}, now {now} is asked for. Choose another --out, or remove it."
             )
-
-
-def arms() -> dict[str, dict[str, Any]]:
-    """Read zoo_configs/compare.yml: arm to its config file and settings."""
-    text = files("dynaforge.zoo_configs").joinpath("compare.yml").read_text(encoding="utf-8")
-    return dict(yaml.safe_load(text))
 
 
 def perform(spec: RunSpec) -> None:

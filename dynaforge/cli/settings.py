@@ -57,6 +57,12 @@ def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = No
     return {name: value for name, value in (listed[entry] | dict(changes)).items() if name not in left_out}
 
 
+def arms() -> dict[str, dict[str, Any]]:
+    """Read zoo_configs/compare.yml: arm of `compare` to its file and settings."""
+    text = files("dynaforge.zoo_configs").joinpath("compare.yml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))
+
+
 def known_algorithms() -> list[str]:
     """Return the algorithms that zoo_configs has a file for."""
     names = sorted(path.name for path in files("dynaforge.zoo_configs").iterdir())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from dynaforge.cli.options import Refused
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 
@@ -20,11 +21,31 @@ def add_task_argument(
     """
     known = f"{', '.join(TASK_NAMES)}; an env id of one; or a task file such as ball.py"
     if flags == ("task",):
-        parser.add_argument("task", help=f"one of {known}; or all")
+        parser.add_argument("task", type=_task_or_all, help=f"one of {known}; or all")
     elif several:
-        parser.add_argument(*flags, dest="task", nargs="+", default=[default], help=f"some of {known}; or all")
+        parser.add_argument(
+            *flags, dest="task", nargs="+", type=_task_or_all, default=[default], metavar="TASK",
+            help=f"some of {known}; or all",
+        )  # fmt: skip
     else:
-        parser.add_argument(*flags, dest="task", default=default, help=f"one of {known}")
+        parser.add_argument(*flags, dest="task", type=task, default=default, metavar="TASK", help=f"one of {known}")
+
+
+def task(text: str) -> str:
+    """See that a task exists, and return what was given for it.
+
+    Raises:
+        argparse.ArgumentTypeError: It does not.
+    """
+    try:
+        get_task(text)
+    except ValueError as error:
+        raise Refused(f": {error}") from error
+    return text
+
+
+def _task_or_all(text: str) -> str:
+    return text if text == "all" else task(text)
 
 
 def chosen_task(options: argparse.Namespace) -> Task:

@@ -6,19 +6,9 @@ import argparse
 
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import verify
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `verify`."""
-    add_dataset_arguments(parser)
-    parser.add_argument("--replay", action="store_true", help="simulate every recording again and compare all states")
-    parser.add_argument(
-        "--audit", action="store_true",
-        help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
-    )  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import add_dataset_arguments, open_dataset
+from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.scene3d import Scene3D, SceneRecorder, write_rerun, write_viser
@@ -22,20 +22,6 @@ SCENES: dict[str, tuple[str, str, Callable[[Path, Scene3D], None]]] = {  # title
     "viser": ("scene in 3-D", ".html", write_viser),
     "rerun": ("for Rerun's viewer", ".rrd", write_rerun),
 }
-
-
-def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Add the options of `view`."""
-    add_dataset_arguments(parser)
-    parser.add_argument(
-        "--limit", type=int, default=40, help="recordings with clip and plots, spread over the difficulties"
-    )
-    parser.add_argument("--no-clips", action="store_true", help="plots only, in a tenth of the time")
-    parser.add_argument(
-        "--viser", action="store_true", help="also a page with the scene in three dimensions, 1 MB a recording"
-    )
-    parser.add_argument("--rerun", action="store_true", help="also a .rrd file for Rerun's viewer, 0.5 MB a recording")
-    parser.add_argument("--out", type=Path, help="HTML file (default: view.html in the folder)")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,10 +1,14 @@
 """Scene, condition, state, robot: everything that touches physics."""
 
+from typing import TYPE_CHECKING, Any
+
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.robot import RobotDescription, franka
-from dynaforge.sim.scene import SimScene
 from dynaforge.sim.spec import BodySpec, Drive, FixtureSpec, Launch, Placement, SceneSpec, Spring
 from dynaforge.sim.state import BodyState, SceneState
+
+if TYPE_CHECKING:
+    from dynaforge.sim.scene import SimScene
 
 __all__ = [
     "BodySpec",
@@ -21,3 +25,12 @@ __all__ = [
     "Spring",
     "franka",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import SimScene, and the physics engine with it, when first asked for: conditions and tasks are data."""
+    if name == "SimScene":
+        from dynaforge.sim.scene import SimScene
+
+        return SimScene
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

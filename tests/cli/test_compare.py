@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import compare, runs
+from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.cli.runs import Exam, RunSpec
+from dynaforge.cli.settings import arms
 from dynaforge.evaluation import TrainingHistory
 
 TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}
 
 
 def options(*arguments: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    compare.add_arguments(parser, "compare")
-    return parser.parse_args(arguments)
+    return COMMANDS["compare"].read("compare", arguments)
 
 
 def tiny(folder: Path, **changes: object) -> RunSpec:
@@ -46,7 +46,7 @@ def test_a_setting_may_be_varied(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--algos", "pp"], "No algorithm 'pp' to compare; known are ppo, grpo, frontier_grpo"),
+        (["--algos", "pp"], "No algorithm 'pp'. Did you mean 'ppo'? Known are ppo, grpo, frontier_grpo"),
         (["--task", "cann"], "Did you mean 'can'"),
         (["--train-seeds", "0"], "--train-seeds is 0; it must be at least 1"),
         (["--algos", "grpo", "--vary", "learning_rat", "1"], "unexpected keyword argument 'learning_rat'"),
@@ -145,7 +145,7 @@ def test_compare_runs_reports_and_repeats_nothing(tmp_path: Path, capsys: pytest
     assert "frontier_grpo" in (tmp_path / "table.txt").read_text()
 
 
-@pytest.mark.parametrize("arm", runs.arms())
+@pytest.mark.parametrize("arm", arms())
 def test_every_arm_builds_its_model(arm: str) -> None:
-    settings = dict(runs.arms()[arm])
+    settings = dict(arms()[arm])
     compare._check_settings(settings.pop("config"), settings, "can")

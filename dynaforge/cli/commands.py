@@ -1,0 +1,124 @@
+"""The commands: what each does, takes and is called like."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from dynaforge.cli import arguments
+from dynaforge.cli.options import Parser
+from dynaforge.cli.task_arguments import chosen_tasks
+
+
+def _nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
+    """Add no argument; find no fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command with arguments of its own.
+
+    Attributes:
+        text: What it does, in one line.
+        examples: Command lines that teach, without "dynaforge".
+        add: Adds its arguments to a parser.
+        check: Looks at the arguments together.
+        module: Of `dynaforge.cli`, where its `run` is; "" where the name is the command's.
+    """
+
+    text: str
+    examples: tuple[str, ...]
+    add: Callable[[argparse.ArgumentParser], None] = field(default=_nothing, kw_only=True)
+    check: Callable[[argparse.Namespace], None] = field(default=_nothing, kw_only=True)
+    module: str = field(default="", kw_only=True)
+
+    def parser(self, name: str) -> Parser:
+        """Return the parser of its arguments."""
+        examples = [f"dynaforge {line}" for line in self.examples]
+        parser = Parser(prog=f"dynaforge {name}", description=f"{self.text}.", examples=examples)
+        self.add(parser)
+        return parser
+
+    def read(self, name: str, arguments: Sequence[str]) -> argparse.Namespace:
+        """Return the options that arguments mean, each alone and all together as they must be.
+
+        Raises:
+            ValueError: They are not; the message names the option.
+        """
+        options: argparse.Namespace = self.parser(name).parse_args(arguments)
+        if "task" in options:
+            chosen_tasks(options)
+        self.check(options)
+        return options
+
+
+COMMANDS = {
+    "forge": Command(
+        "from nothing to demonstrations: measure the prior, train, measure again, collect, report",
+        ("forge --task can", "forge --task peach --budget 30m --demos 200 --out runs/peach"),
+        add=arguments.forge,
+    ),
+    "list": Command("the tasks", ("list",), module="describe"),
+    "describe": Command(
+        "one task: motion, randomisation, phases, success",
+        ("describe can", "describe all --out docs/tasks"),
+        add=arguments.describe,
+    ),
+    "evaluate": Command(
+        "demonstration generation rate of a generator on stored condition streams",
+        ("evaluate --task can --generator planner_only residual", "evaluate --task all --stream test --attempts 200"),
+        add=arguments.evaluate,
+        check=arguments.check_policy,
+    ),
+    "collect": Command(
+        "demonstrations into a folder, on all cores; resumes",
+        ("collect --task can --demos 100", "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4"),
+        add=arguments.collect,
+        check=arguments.check_policy,
+    ),
+    "info": Command(
+        "what a folder of demonstrations holds: rates, lengths, ranges, size",
+        ("info data/can",),
+        add=arguments.on_dataset,
+    ),
+    "render": Command(
+        "pictures and point clouds of collected episodes, in a second pass; resumes",
+        ("render data/can", "render data/can --cameras front --size 84 84 --points 1024"),
+        add=arguments.render,
+        check=arguments.check_render,
+    ),
+    "view": Command(
+        "one HTML page to look through a folder of demonstrations: clips, plots, filters",
+        ("view data/can", "view data/can --no-clips --limit 200 --out can.html"),
+        add=arguments.view,
+    ),
+    "export": Command(
+        "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",
+        ("export data/can --format lerobot", "export data/can --format robomimic --actions joint --out can-robomimic"),
+        add=arguments.export,
+    ),
+    "verify": Command(
+        "check a folder of demonstrations: bytes, values, outcomes; --replay simulates them again",
+        ("verify data/can", "verify data/can --replay --audit"),
+        add=arguments.verify,
+    ),
+    "compare": Command(
+        "train several algorithms on the same tasks and seeds, measure and report; resumes",
+        ("compare --task can --algos grpo frontier_grpo", "compare --algos grpo --vary learning_rate 5e-4 1e-3"),
+        add=arguments.compare,
+    ),
+    "bench": Command(
+        "the project's figures: speed, determinism, limits",
+        ("bench", "bench --only reset control-steps --rounds 9 --out results/bench.json"),
+        add=arguments.bench,
+    ),
+}
+"""Commands with arguments of our own, by name."""
+
+ZOO = {
+    "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
+    "enjoy": "rl_zoo3's enjoy: play a trained policy",
+    "record_video": "rl_zoo3's record_video: an MP4 of it",
+}
+"""Commands of rl_zoo3, which reads their arguments."""

@@ -1,0 +1,35 @@
+"""What a terminal can show: text that its encoding lacks is written in ASCII, never an error."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import sys
+
+PLAIN = {
+    **dict(zip("▁▂▃▄▅▆▇█", "_.:-=+*#", strict=True)),  # a sparkline still rises
+    **dict.fromkeys("│┃║┆┊▏▎▍▌▋▊▉", "|"),
+    **dict.fromkeys("─━═┄┈–—−", "-"),
+    **dict.fromkeys("┌┐└┘├┤┬┴┼┏┓┗┛┣┫┳┻╋┡┢┩┪┯┷┿╇╈╔╗╚╝╠╣╦╩╬╭╮╯╰┠┨┝┥╪╫╞╡", "+"),
+    **dict.fromkeys("‘’‚′", "'"),
+    **dict.fromkeys("“”„″", '"'),
+    "≥": ">=", "≤": "<=", "×": "x", "→": "->", "…": "...", "±": "+-", "°": " deg", "µ": "u", "μ": "u", "σ": "sigma",
+    "✓": "yes", "✗": "no", "•": "*", "·": ".", "\u00a0": " ", "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss",
+}  # fmt: skip
+HANDLER = "dynaforge.plain"
+
+
+def show_anything() -> None:
+    """Let stdout and stderr of this process take any text."""
+    codecs.register_error(HANDLER, _in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=HANDLER)
+
+
+def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    plain = (PLAIN.get(c) or c.encode("ascii", "backslashreplace").decode("ascii") for c in lacking)
+    return "".join(plain), error.end
