@@ -10,7 +10,9 @@ from dynaforge.geometry import Array, JointTrajectory, Pose
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, SceneState
 from dynaforge.tasks import Mode, Phase, Task
+from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.view import PhaseView, heading_frames
+from dynaforge.tasks.words import aim, judge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,9 +107,9 @@ class PhaseExecutor:
         view = self._view(state)
         phase = self.phase
         for reason, impossible in (*phase.fails, *self.task.endings):
-            if impossible(view, self.action.target):
+            if self._holds(reason, impossible, view, self.action.target):
                 return self._fail(reason)
-        self._held = self._held + 1 if phase.done(view, self.action.target) else 0
+        self._held = self._held + 1 if self._holds("done", phase.done, view, self.action.target) else 0
         if phase.is_held(self._held, self._dt):
             if phase.takes_hold:
                 self._grasp = state
@@ -142,13 +144,14 @@ class PhaseExecutor:
 
     def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
         self.index = index
+        self._place = f"Phase {self.phase.name!r}"  # what a mistake in a word of it is told with
         self._steps = self._held = 0
         self._entry, self._entry_frames = state, self._frames
         self._trajectory: JointTrajectory | None = None
         self._frozen = False
         view = self._view(state)
         if self.phase.mode is Mode.GLOBAL:
-            self._target = self.phase.target(view)
+            self._target = self._aim(view)
             try:
                 self._trajectory = self._planner.plan(
                     reference.q, reference.dq, reference.ddq, self._target,
@@ -166,9 +169,16 @@ class PhaseExecutor:
             k = min(self._steps + 1, len(self._trajectory) - 1)
             sample = JointSample(self._trajectory.q[k], self._trajectory.dq[k], self._trajectory.ddq[k])
         elif not self._frozen:
-            self._target = phase.target(view)
-            self._frozen = phase.track_until is not None and phase.track_until(view, self._target)
+            self._target = self._aim(view)
+            until = phase.track_until
+            self._frozen = until is not None and self._holds("track_until", until, view, self._target)
         self.action = PlannedAction(self._target, phase.width, phase.gate, self.index, sample)
+
+    def _holds(self, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> bool:
+        return judge(self._place, role, predicate, view, target)
+
+    def _aim(self, view: PhaseView) -> Pose:
+        return aim(self._place, self.phase.target, view)
 
     def _view(self, state: SceneState) -> PhaseView:
         return PhaseView(

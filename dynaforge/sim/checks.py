@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from dynaforge.geometry import Array, Pose
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]")  # breaks of lines among them
 _RESERVED = ("all",)  # as a task's name on the command line
 _SPELLING = reprlib.Repr()
 _SPELLING.maxstring = _SPELLING.maxother = _SPELLING.maxlong = 80
@@ -61,7 +62,7 @@ def check_flag(what: str, value: Any) -> None:
 
 def check_text(what: str, value: Any) -> None:
     """Raise ValueError unless the value is a text of one line that is not empty."""
-    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+    if not isinstance(value, str) or not value.strip() or _CONTROL.search(value):
         raise ValueError(f"{what} is {shown(value)}; it must be a text of one line.")
 
 
@@ -86,7 +87,7 @@ def check_task_name(what: str, value: Any) -> None:
 
 def check_choice(what: str, value: Any, known: Iterable[str]) -> None:
     """Raise ValueError unless the value is one of those known; a close match is named."""
-    known = list(known)
+    known = list(map(str, known))  # members of a StrEnum among them
     if not isinstance(value, str) or value not in known:
         raise ValueError(
             f"{what} is {shown(value)}; known are {', '.join(map(repr, known))}.{close_match(value, known)}"

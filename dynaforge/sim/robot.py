@@ -9,6 +9,8 @@ import numpy as np
 
 from dynaforge.geometry import Array
 
+HAND_WIDTH = 0.08  # metres that the hand opens
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotDescription:
@@ -45,7 +47,7 @@ class RobotDescription:
     q_ready: Array
     effort_max: Array
     stop_speed: float = 1.5
-    width_max: float = 0.08
+    width_max: float = HAND_WIDTH
     finger_speed_max: float = 0.05
     grip_force: float = 40.0
 

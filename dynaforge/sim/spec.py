@@ -190,10 +190,12 @@ class SceneSpec:
         try:
             starts = self.launch(condition)
         except Exception as error:  # a task's own code: whatever it raises is told with its place
-            key = error.args[0] if isinstance(error, KeyError) and error.args else None
-            hint = f" A condition has {sorted(condition.values)}.{close_match(key, condition.values)}" if key else ""
-            raise ValueError(f"{who} raised {type(error).__name__}: {error} at {condition}.{hint}") from error
-        check_kind(f"{who} returns what", starts, Mapping)
+            key = error.args[0] if isinstance(error, KeyError) and error.args else ""
+            hint = f" It has {sorted(condition.values)}.{close_match(key, condition.values)}" if key else ""
+            raise ValueError(
+                f"{who} raised {type(error).__name__}: {error} at condition {condition.id}.{hint}"
+            ) from error
+        check_kind(f"What {who} returns", starts, Mapping)
         for name, start in starts.items():
             self._check_start(who, name, start)
         if forgotten := [name for name in self.names if name not in starts]:

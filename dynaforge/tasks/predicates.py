@@ -9,7 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from dynaforge.geometry import Pose
+from dynaforge.sim.checks import check_callable, shown
 from dynaforge.tasks.view import PhaseView
+from dynaforge.tasks.words import ObjectName, Size
 
 
 class Predicate(Protocol):
@@ -26,6 +28,14 @@ class All:
 
     parts: tuple[Predicate, ...]
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.parts, tuple) or not self.parts:
+            raise ValueError(
+                f"All: parts is {shown(self.parts)}; it must be a tuple of predicates: All((Reached(0.03),))."
+            )
+        for part in self.parts:
+            check_callable("All: a part", part)
+
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return all(part(view, target) for part in self.parts)
 
@@ -35,6 +45,9 @@ class Not:
     """`part` does not hold."""
 
     part: Predicate
+
+    def __post_init__(self) -> None:
+        check_callable("Not: part", self.part)
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return not self.part(view, target)
@@ -52,7 +65,7 @@ class RobotStopped:
 class Reached:
     """The hand is within `distance` metres of the target."""
 
-    distance: float
+    distance: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return math.dist(view.state.ee.position, target.position) <= self.distance
@@ -62,8 +75,8 @@ class Reached:
 class Near:
     """The object is within `distance` metres of the hand, measured on the plane."""
 
-    object: str
-    distance: float
+    object: ObjectName
+    distance: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return plane_distance(view, self.object) <= self.distance
@@ -73,8 +86,8 @@ class Near:
 class Around:
     """The object's origin is within `distance` metres of the end effector."""
 
-    object: str
-    distance: float
+    object: ObjectName
+    distance: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return math.dist(view.state.ee.position, view.state.objects[self.object].pose.position) <= self.distance
@@ -91,9 +104,9 @@ class Aligned:
         height: The end effector is no more than this above the object's origin, metres.
     """
 
-    object: str
-    along: float
-    across: float | None = None
+    object: ObjectName
+    along: Size
+    across: Size | None = None
     height: float = math.inf
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
@@ -110,7 +123,7 @@ class Aligned:
 class Touched:
     """A finger touches the object."""
 
-    object: str
+    object: ObjectName
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return any(view.state.touching[self.object])
@@ -120,7 +133,7 @@ class Touched:
 class Grasped:
     """Both fingers touch the object."""
 
-    object: str
+    object: ObjectName
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return all(view.state.touching[self.object])
@@ -130,7 +143,7 @@ class Grasped:
 class Released:
     """No finger touches the object."""
 
-    object: str
+    object: ObjectName
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return not any(view.state.touching[self.object])
@@ -140,7 +153,7 @@ class Released:
 class Narrowed:
     """The opening between the fingers is at most `width` metres."""
 
-    width: float
+    width: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return bool(view.state.width <= self.width)
@@ -158,9 +171,9 @@ class Within:
         tool: The point in the frame of `held`, metres.
     """
 
-    held: str
-    object: str
-    distance: float
+    held: ObjectName
+    object: ObjectName
+    distance: Size
     height: float
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -174,8 +187,8 @@ class Within:
 class Upright:
     """The object's z axis is within `tilt` radians of the vertical, either way up."""
 
-    object: str
-    tilt: float
+    object: ObjectName
+    tilt: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return abs(float(view.state.objects[self.object].pose.rotation[2, 2])) >= math.cos(self.tilt)
@@ -185,9 +198,9 @@ class Upright:
 class AtRestOn:
     """The object moves with another one: their speeds differ by at most `speed` m/s where it is."""
 
-    object: str
-    other: str
-    speed: float
+    object: ObjectName
+    other: ObjectName
+    speed: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         body, carrier = view.state.objects[self.object], view.state.objects[self.other]
@@ -207,10 +220,10 @@ class Clicked:
         width: Of the opening between the fingers, metres, at most.
     """
 
-    button: str
-    travel: float
-    off_centre: float
-    width: float = 0.005
+    button: ObjectName
+    travel: Size
+    off_centre: Size
+    width: Size = 0.005
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         state = view.state
@@ -226,7 +239,7 @@ class Clicked:
 class OnTable:
     """The object touches the table."""
 
-    object: str
+    object: ObjectName
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return view.state.on_table[self.object]
@@ -236,7 +249,7 @@ class OnTable:
 class Lifted:
     """The object is `height` metres above where it started."""
 
-    object: str
+    object: ObjectName
     height: float
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
@@ -248,7 +261,7 @@ class Lifted:
 class Fallen:
     """The object is more than `depth` metres below the table top."""
 
-    object: str
+    object: ObjectName
     depth: float = 0.05
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
@@ -259,8 +272,8 @@ class Fallen:
 class Departed:
     """The object is outside the disc of `reach` metres around the robot's base and moves away from it."""
 
-    object: str
-    reach: float
+    object: ObjectName
+    reach: Size
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         body = view.state.objects[self.object]

@@ -11,6 +11,7 @@ import numpy as np
 
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec, rotation_z
 from dynaforge.tasks.view import PhaseView, yaw
+from dynaforge.tasks.words import ObjectName, Size
 
 
 class Target(Protocol):
@@ -69,7 +70,7 @@ class Above:
         grip: How the fingers stand to it.
     """
 
-    object: str
+    object: ObjectName
     height: float
     grip: Grip = Grip.ALONG
 
@@ -95,9 +96,9 @@ class Downstream:
         live: Read the heading frame anew at every control step, for objects that do not roll straight.
     """
 
-    object: str
+    object: ObjectName
     height: float
-    reach: float
+    reach: Size
     clearance: float
     grip: Grip = Grip.ALONG
     live: bool = False
@@ -124,11 +125,11 @@ class DownstreamArc:
         grip: How the fingers stand to it.
     """
 
-    object: str
+    object: ObjectName
     height: float
-    reach: float
+    reach: Size
     clearance: float
-    radius: float
+    radius: Size
     grip: Grip = Grip.ALONG
 
     def __call__(self, view: PhaseView) -> Pose:
@@ -153,8 +154,8 @@ class Catching:
         pitch: How far the hand is pitched up, radians.
     """
 
-    object: str
-    fixture: str
+    object: ObjectName
+    fixture: ObjectName
     ahead: float
     height: float
     pitch: float
@@ -180,8 +181,8 @@ class Over:
         upright: Turn the hand so that the held object's z axis is vertical.
     """
 
-    object: str
-    held: str
+    object: ObjectName
+    held: ObjectName
     height: float
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     upright: bool = False
@@ -204,7 +205,7 @@ class Raised:
         height: Metres above the hand's pose at phase entry.
     """
 
-    object: str
+    object: ObjectName
     height: float
 
     def __call__(self, view: PhaseView) -> Pose:

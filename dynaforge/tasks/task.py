@@ -2,59 +2,33 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass, field
-from enum import StrEnum
 
+from dynaforge.sim.checks import (
+    check_choice,
+    check_kind,
+    check_number,
+    check_numbers,
+    check_task_name,
+    check_text,
+    check_tuple,
+    check_whole,
+    shown,
+)
+from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.predicates import Predicate, RobotStopped
-from dynaforge.tasks.targets import Target
+from dynaforge.tasks.phase import Ending, Mode, Phase, endings_of
+from dynaforge.tasks.predicates import RobotStopped
+from dynaforge.tasks.probe import probe
+from dynaforge.tasks.words import check_word, unknown
 
+__all__ = ["Mode", "Phase", "ResidualSpec", "Task"]
 
-class Mode(StrEnum):
-    """How a phase plans: one global trajectory at its entry, or object-centric IK at every control step."""
-
-    GLOBAL = "global"
-    IK = "ik"
-
-
-@dataclass(frozen=True, slots=True)
-class Phase:
-    """One phase of the program.
-
-    Attributes:
-        name: Its name in records and reports.
-        mode: Low-frequency global planning or high-frequency IK.
-        target: Object-centric target of Eq. 3.
-        width: Commanded opening between the fingers, metres.
-        done: Success predicate; the phase advances once it held for `hold` seconds.
-        timeout: Seconds after which the episode fails.
-        failure: The reason recorded then.
-        gate: The residual gate m of Eq. 5.
-        hold: Seconds from the first to the last of the control steps at which `done` held without a break.
-        track_until: Once this holds, the target freezes: the hand must not chase what it pushes.
-        takes_hold: At its end the object in the hand is measured: the tool frame of targets that come after.
-        residual_share: Share of the task's residual scales that the residual has in this phase.
-        fails: (reason, predicate) pairs that end the episode at once while this phase runs.
-    """
-
-    name: str
-    mode: Mode
-    target: Target
-    width: float
-    done: Predicate
-    timeout: float
-    failure: str
-    gate: bool = False
-    hold: float = 0.0
-    track_until: Predicate | None = None
-    takes_hold: bool = False
-    residual_share: float = 1.0
-    fails: tuple[tuple[str, Predicate], ...] = ()
-
-    def is_held(self, samples: int, control_dt: float) -> bool:
-        """Tell whether `done`, true at the last `samples` control steps of `control_dt` seconds, held long enough."""
-        return samples > 0 and (samples - 1) * control_dt >= self.hold - 1e-9
+_ENV_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+FRAMES = ("target", "world")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +48,15 @@ class ResidualSpec:
     width: float = 0.02
     frame: str = "target"
     decision_steps: int = 3
+
+    def __post_init__(self) -> None:
+        check_numbers("ResidualSpec: translation", self.translation, 3, least=0.0)
+        check_numbers("ResidualSpec: rotation", self.rotation, 3, least=0.0)
+        check_number("ResidualSpec: width", self.width, least=0.0, most=HAND_WIDTH)
+        check_choice("ResidualSpec: frame", self.frame, FRAMES)
+        check_whole("ResidualSpec: decision_steps", self.decision_steps, least=1)
+        if not any(self.scales):
+            raise ValueError("ResidualSpec: all seven scales are 0, so a residual could change nothing; switch one on.")
 
     @property
     def scales(self) -> tuple[float, ...]:
@@ -113,15 +96,74 @@ class Task:
     scene: SceneSpec
     conditions: ConditionSpace
     phases: tuple[Phase, ...]
-    impossible: tuple[tuple[str, Predicate], ...]
+    impossible: tuple[Ending, ...]
     residual: ResidualSpec = field(default_factory=ResidualSpec)
     camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.2, -0.4, 0.62), (0.4, -0.02, 0.14))
     instruction: str = ""
 
     def __post_init__(self) -> None:
-        if not self.instruction and self.scene.tracked:
-            words = f"{self.skill.replace(' + ', ' and ')} the {self.manipulated.replace('_', ' ')}"
+        check_task_name("Task: name", self.name)
+        what = f"Task {self.name!r}"
+        for name, kind in (("scene", SceneSpec), ("conditions", ConditionSpace), ("residual", ResidualSpec)):
+            check_kind(f"{what}: {name}", getattr(self, name), kind)
+        object.__setattr__(self, "phases", check_tuple(f"{what}: phases", self.phases, Phase))
+        object.__setattr__(self, "impossible", endings_of(f"{what}: impossible", self.impossible))
+        if not self.instruction:
+            words = f"{self.skill} the {self.manipulated}".replace(" + ", " and ").replace("_", " ")
             object.__setattr__(self, "instruction", words)
+        self._check_descriptions(what)
+        self._check_program(what)
+        self._check_words()
+        probe(self)
+
+    def _check_descriptions(self, what: str) -> None:
+        if not isinstance(self.env_name, str) or not _ENV_NAME.fullmatch(self.env_name):
+            raise ValueError(
+                f"{what}: env_name is {shown(self.env_name)}; it becomes part of an env id, as Can does of "
+                "DynaForge/Can-v0, and must consist of letters, digits and '_' and begin with a letter."
+            )
+        for name in ("skill", "motion", "randomisation", "goal", "instruction"):
+            check_text(f"{what}: {name}", getattr(self, name))
+        check_tuple(f"{what}: camera", self.camera, tuple)
+        if len(self.camera) != 2:
+            raise ValueError(f"{what}: camera is {shown(self.camera)}; it must be (eye, look-at), three numbers each.")
+        for name, point in zip(("eye", "look-at"), self.camera, strict=True):
+            check_numbers(f"{what}: camera, {name}", point, 3)
+        if self.camera[0][:2] == self.camera[1][:2]:
+            raise ValueError(f"{what}: the camera looks straight up or down, or at itself; move its eye aside.")
+        if self.conditions.task != self.name:
+            raise ValueError(f"{what}: its conditions are those of task {self.conditions.task!r}; give both one name.")
+
+    def _check_program(self, what: str) -> None:
+        if not self.phases:
+            raise ValueError(f"{what} has no phase; it needs at least one.")
+        names = [phase.name for phase in self.phases]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"{what}: two phases are called {twice[0]!r}; every phase has its own name.")
+        if not any(phase.gate for phase in self.phases):
+            raise ValueError(
+                f"{what}: no phase has gate=True, so a residual could act nowhere; open the gate where the hand tracks."
+            )
+        dt = self.scene.control_dt
+        for phase in self.phases:
+            if not phase.is_held(math.ceil((phase.timeout - 1e-9) / dt), dt):
+                raise ValueError(
+                    f"Phase {phase.name!r}: hold {phase.hold:g} s leaves no control step of {dt:.4g} s before its "
+                    f"timeout {phase.timeout:g} s, so it can never be done."
+                )
+
+    def _check_words(self) -> None:
+        things = self.scene.names
+        for phase in self.phases:
+            place, aimed = f"Phase {phase.name!r}", getattr(phase.target, "object", None)
+            if aimed is None:
+                raise ValueError(f"{place}: target {shown(phase.target)} has no `object`, the name of what it aims at.")
+            if aimed not in things:
+                raise ValueError(unknown(place, f"aims at {shown(aimed)}", aimed, things))
+            words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
+            for role, word in words.items():
+                check_word(place, role, word, things)
+        check_word("Task", "impossible", self.impossible, things)
 
     @property
     def manipulated(self) -> str:
@@ -129,7 +171,7 @@ class Task:
         return self.scene.tracked[0]
 
     @property
-    def endings(self) -> tuple[tuple[str, Predicate], ...]:
+    def endings(self) -> tuple[Ending, ...]:
         """All (reason, predicate) pairs that end an episode at once: `impossible` and what holds for every task."""
         return (*self.impossible, ("robot stopped", RobotStopped()))
 

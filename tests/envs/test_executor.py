@@ -53,6 +53,11 @@ def phase(name: str, done, mode: Mode = Mode.IK, *, hold: float = 0.0, timeout: 
 
 
 def program(*phases: Phase) -> Task:
+    """These phases as a task, which needs an open gate: where the hand tracks, else in a phase after them."""
+    if not any(p.mode is Mode.IK for p in phases):
+        phases = (*phases, phase("after", Fallen("can")))
+    if not any(p.gate for p in phases):
+        phases = tuple(replace(p, gate=p.mode is Mode.IK) for p in phases)
     return replace(CAN, phases=phases, impossible=(("dropped", Fallen("can")),))
 
 

@@ -23,7 +23,9 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
     phases = (replace(CAN.phases[0], timeout=CAN.phases[0].timeout + 0.1), *CAN.phases[1:])
     assert task_digest(replace(CAN, phases=phases)) != task_digest(CAN)
     assert task_digest(replace(CAN, scene=replace(CAN.scene, physics_dt=1 / 480))) != task_digest(CAN)
-    assert task_digest(replace(CAN, scene=replace(CAN.scene, launch=lambda c: {}))) != task_digest(CAN)
+    assert task_digest(
+        replace(CAN, scene=replace(CAN.scene, launch=lambda c: dict(CAN.scene.launch(c))))
+    ) != task_digest(CAN)
     assert task_digest(replace(CAN, motion="It rolls.", camera=((1.0, 0.0, 1.0), (0.0, 0.0, 0.0)))) == task_digest(CAN)
     assert CAN.conditions.units
     assert task_digest(replace(CAN, conditions=replace(CAN.conditions, units={}))) == task_digest(CAN)
