@@ -196,7 +196,7 @@ def view(parser: argparse.ArgumentParser) -> None:
 def export(parser: argparse.ArgumentParser) -> None:
     """Add the options of `export`."""
     from dynaforge.demos.exporters import FORMATS
-    from dynaforge.demos.exporters.frames import ACTIONS
+    from dynaforge.demos.exporters.frames import ACTIONS, ROTATIONS
 
     on_dataset(parser)
     parser.add_argument(
@@ -208,13 +208,34 @@ def export(parser: argparse.ArgumentParser) -> None:
         help="end-effector pose or joint positions, and width",
     )  # fmt: skip
     parser.add_argument(
+        "--rotation", default=ROTATIONS[0], **one_of("rotation", ROTATIONS),
+        help="of an end-effector pose: quaternion, or the first two columns of its matrix, which jump nowhere",
+    )  # fmt: skip
+    parser.add_argument(
         "--observations", type=Existing("folder", holding="settings.json", otherwise="holds no observations"),
         help="folder of `dynaforge render`; by default observations/ if there",
+    )  # fmt: skip
+    parser.add_argument("--no-observations", action="store_true", help="leave out what observations/ holds")
+    parser.add_argument(
+        "--depth", action="store_true",
+        help="depth maps in a LeRobot dataset too, whose policies take them for pictures; the others hold them anyway",
+    )  # fmt: skip
+    parser.add_argument(
+        "--privileged", action="store_true",
+        help="the truth about objects beside pictures and points too; without those it is there anyway",
     )  # fmt: skip
     parser.add_argument("--failures", action="store_true", help="failed recordings too (collect --keep-failures)")
     licence = Text("an SPDX identifier such as MIT or CC-BY-4.0", r"[A-Za-z0-9][A-Za-z0-9.+() -]*")
     parser.add_argument("--license", type=licence, default="MIT", help="SPDX identifier for the card")
     parser.add_argument("--out", type=Written("folder"), help="new folder; by default FOLDER-FORMAT")
+
+
+def check_export(options: argparse.Namespace) -> None:
+    """Refuse options that contradict each other."""
+    if options.no_observations and options.observations:
+        raise ValueError("--observations names what --no-observations leaves out; give one of the two.")
+    if options.actions == "joint" and options.rotation != "quat_wxyz":
+        raise ValueError(f"--rotation {options.rotation} belongs to --actions ee; joint positions have no rotation.")
 
 
 def verify(parser: argparse.ArgumentParser) -> None:

@@ -97,6 +97,7 @@ COMMANDS = {
         "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",
         ("export data/can --format lerobot", "export data/can --format robomimic --actions joint --out can-robomimic"),
         add=arguments.export,
+        check=arguments.check_export,
     ),
     "verify": Command(
         "check a folder of demonstrations: bytes, values, outcomes; --replay simulates them again",

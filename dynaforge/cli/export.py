@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import open_dataset
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter, read_frames
 from dynaforge.demos.observations import FOLDER, ObservationFolder
-from dynaforge.reports.card import write_card
+from dynaforge.reports.card import Exported, write_card
 
 
 def run(options: argparse.Namespace) -> int:
@@ -25,47 +27,79 @@ def run(options: argparse.Namespace) -> int:
     if out.exists():
         raise FileExistsError(f"{out} exists already. Choose another --out, or remove it.")
     observations = _observations(options, dataset)
-    kept: list[Episode] = []
-    names: tuple[str, ...] = ()
+    found = read_frames(
+        dataset,
+        fps=task.scene.fps,
+        actions=options.actions,
+        rotation=options.rotation,
+        observations=observations,
+        depth=options.depth or options.format != "lerobot",
+        privileged=True if options.privileged else None,
+        failures=options.failures,
+    )
+    kept: list[Exported] = []
+    contents: dict[str, str] = {}
 
     def frames() -> Iterator[Frames]:
-        nonlocal names
-        found = read_frames(
-            dataset,
-            fps=task.scene.fps,
-            actions=options.actions,
-            observations=observations,
-            failures=options.failures,
-        )
         for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
-            kept.append(episode.episode)
-            names = episode.action_names
+            kept.append(Exported.of(episode.episode))
+            contents.update(_contents(episode))
             yield episode
+            del episode  # or it lived on while the next is read
 
-    temporary = out.with_name(f".{out.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    try:
-        n = write(temporary, task, frames())
+    with _whole(out) as folder:
+        n = write(folder, task, frames())
         problem = write_card(
-            temporary, task, dataset.attempts(), kept, layout=options.format, licence=options.license, actions=names,
+            folder, task, dataset, kept, layout=options.format, licence=options.license, contents=contents,
             command=options.command, observations=observations,
         )  # fmt: skip
-        os.replace(temporary, out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     if problem:
         print(f"no contact sheet: {problem}")
-    print(f"{n} demonstrations, {sum(map(len, kept))} steps, {size / 1e6:.1f} MB: {out}")
+    print(f"{n} demonstrations, {sum(e.steps for e in kept)} steps, {size / 1e6:.1f} MB: {out}")
     return 0
 
 
+def _contents(episode: Frames) -> dict[str, str]:
+    """Say what each step holds, for the card."""
+    seen = [*episode.images, *(f"depth of {camera}" for camera in episode.depths)]
+    seen += ["points"] if episode.points is not None else []
+    return {
+        "actions": ", ".join(episode.action_names),
+        "observations": ", ".join(["state of the robot", *seen]),
+        "privileged": ", ".join(episode.objects) if episode.privileged else "nothing: no truth about objects",
+    }
+
+
+@contextlib.contextmanager
+def _whole(out: Path) -> Iterator[Path]:
+    """Give a hidden folder that becomes `out` at the end; whatever ends the work early leaves nothing behind."""
+    missing = [folder for folder in out.absolute().parents if not folder.exists()]
+    temporary = out.with_name(f".{out.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)  # of an export that was killed
+    temporary.mkdir(parents=True)
+    try:
+        yield temporary
+        os.replace(temporary, out)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        with contextlib.suppress(OSError):  # someone else's by now
+            for folder in missing:
+                folder.rmdir()
+        raise
+
+
 def _observations(options: argparse.Namespace, dataset: DemonstrationDataset) -> ObservationFolder | None:
+    """Open the rendered observations, as far as the format has a place for them."""
     path = options.observations or options.folder / FOLDER
-    if options.observations is None and not path.is_dir():
+    if options.no_observations or (options.observations is None and not path.is_dir()):
         return None
     folder = ObservationFolder(path)
+    if options.format == "minari" or (options.format == "lerobot" and not folder.settings.images):
+        held = "neither pictures nor points" if options.format == "minari" else "no points"
+        if options.observations is not None:
+            raise ValueError(f"Format {options.format} holds {held}; leave --observations out.")
+        return None
     if missing := folder.missing(dataset.ids()):
         raise FileNotFoundError(
             f"{path} lacks {len(missing)} of {len(dataset.ids())} episodes. `dynaforge render` as before adds them."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the 
 FOLDER = "observations"
 SETTINGS = "settings.json"
 AGAIN = "render"  # how a damaged file is made again
+_CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
 
 
@@ -57,6 +59,9 @@ class ObservationSettings:
 
     def __post_init__(self) -> None:
         names = [camera.name for camera in self.cameras]
+        for name in names:  # becomes part of names of files and of arrays, and settings may come from anybody
+            if not isinstance(name, str) or not _CAMERA_NAME.fullmatch(name) or name in ("points", "point_colors"):
+                raise ValueError(f"{name!r} is no name for a camera; take letters and digits, with . _ - between.")
         if not names or len(set(names)) < len(names):
             raise ValueError(f"Observations need at least one camera, and names that differ; given {names}.")
         if self.points < 0 or not (self.images or self.points):

@@ -6,11 +6,14 @@ hundredths of one. It can be deleted and made again at any time.
 
 from __future__ import annotations
 
+import contextlib
+import difflib
 import json
+import operator
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +22,18 @@ from dynaforge.demos.exporters.frames import Frames
 
 ABOUT = "pack.json"
 ENDS = "episode_ends"
+LONGEST = 10_000  # frames that a window may reach to either side: no episode is as long
 
 
 class Pack:
     """Frames of many episodes in memory-mapped arrays, read in windows that stay within an episode.
 
+    A pack pickles as the name of its folder, so that workers of a data loader open the same files.
+
     Attributes:
-        arrays: `state` (N, 15), `action` (N, A), and `points` (N, P, 3) where rendered, by name.
+        folder: Where it is.
+        arrays: `state` (N, 15), `action` (N, A), `dq` (N, 7), `phase` (N), `gate` (N), `contact` (N, 2), and `points`
+            (N, P, 3) where rendered, by name.
         episode_ends: Index of the first frame after each episode, shape (E,).
         action_names: Names of the components of an action.
 
@@ -37,14 +45,14 @@ class Pack:
     """
 
     def __init__(self, folder: str | Path) -> None:
-        folder = Path(folder)
-        about = folder / ABOUT
+        self.folder = Path(folder).absolute()
+        about = self.folder / ABOUT
         if not about.is_file():
             raise FileNotFoundError(f"{folder} holds no pack.")
         data = json.loads(about.read_text())
         self.action_names: tuple[str, ...] = tuple(data["action_names"])
-        self.arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in data["arrays"]}
-        self.episode_ends: NDArray[np.int64] = np.load(folder / f"{ENDS}.npy")
+        self.arrays = {name: np.load(self.folder / f"{name}.npy", mmap_mode="r") for name in data["arrays"]}
+        self.episode_ends: NDArray[np.int64] = np.load(self.folder / f"{ENDS}.npy")
         lengths = np.diff(self.episode_ends, prepend=0)
         self._first = np.repeat(self.episode_ends - lengths, lengths)
         self._last = np.repeat(self.episode_ends - 1, lengths)
@@ -53,14 +61,33 @@ class Pack:
         """Number of frames."""
         return len(self._first)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Pack, (str(self.folder),)
+
     def window(self, name: str, frame: int, *, before: int, after: int) -> NDArray[Any]:
         """Read frames `frame - before` to `frame + after`; beyond an end of the episode its own end is repeated.
 
         Args:
             name: Of an array.
             frame: Index of a frame, 0 to len - 1.
-            before, after: Frames on either side.
+            before, after: Frames on either side, at most 10000.
+
+        Raises:
+            KeyError: There is no such array.
+            IndexError: There is no such frame.
+            ValueError: `before` or `after` is negative, or longer than any episode.
+            TypeError: One of the three is no whole number.
         """
+        if name not in self.arrays:
+            close = difflib.get_close_matches(str(name), self.arrays, n=1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise KeyError(f"No array {name!r} in {self.folder}; there are {', '.join(self.arrays)}.{hint}")
+        frame, before, after = map(operator.index, (frame, before, after))
+        if not 0 <= frame < len(self):
+            raise IndexError(f"No frame {frame}; the pack has frames 0 to {len(self) - 1}.")
+        for side, reach in (("before", before), ("after", after)):
+            if not 0 <= reach <= LONGEST:
+                raise ValueError(f"A window reaches 0 to {LONGEST} frames to either side; {side} is {reach}.")
         low, high = int(self._first[frame]), int(self._last[frame])
         if low <= frame - before and frame + after <= high:
             return np.asarray(self.arrays[name][frame - before : frame + after + 1])
@@ -70,6 +97,8 @@ class Pack:
     @staticmethod
     def write(folder: str | Path, episodes: Iterable[Frames]) -> Pack:
         """Write a pack; one already there is replaced once the new one is whole.
+
+        Episode by episode: all of them together may not fit into memory.
 
         Raises:
             FileExistsError: The folder holds something else.
@@ -81,26 +110,79 @@ class Pack:
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
-        columns: dict[str, list[NDArray[Any]]] = {}
-        lengths: list[int] = []
-        names: tuple[str, ...] = ()
+        try:
+            _write(temporary, episodes)
+            shutil.rmtree(folder, ignore_errors=True)
+            temporary.rename(folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+        return Pack(folder)
+
+
+def _write(folder: Path, episodes: Iterable[Frames]) -> None:
+    lengths: list[int] = []
+    names: tuple[str, ...] = ()
+    arrays: dict[str, _Growing] = {}
+    with contextlib.ExitStack() as files:
         for episode in episodes:
-            rows = {"state": episode.state, "action": episode.actions}
-            if episode.points is not None:
-                rows["points"] = episode.points.astype(np.float16)  # 0.24 mm at most, half the size
+            rows = dict(_rows(episode))
+            if not lengths:
+                arrays = {name: files.enter_context(_growing(folder, name, row)) for name, row in rows.items()}
+            if rows.keys() != arrays.keys():
+                raise ValueError("Some demonstrations were rendered and some were not; run dynaforge render again.")
             for name, row in rows.items():
-                columns.setdefault(name, []).append(row)
+                arrays[name].add(row)
             lengths.append(len(episode))
             names = episode.action_names
-        if not lengths:
-            raise ValueError("There is no demonstration to pack.")
-        if any(len(parts) < len(lengths) for parts in columns.values()):
-            raise ValueError("Some demonstrations were rendered and some were not; run dynaforge render again.")
-        for name, parts in columns.items():
-            np.save(temporary / f"{name}.npy", np.concatenate(parts))
-        np.save(temporary / f"{ENDS}.npy", np.cumsum(lengths, dtype=np.int64))
-        about = {"arrays": list(columns), "action_names": names}
-        (temporary / ABOUT).write_text(json.dumps(about))
-        shutil.rmtree(folder, ignore_errors=True)
-        temporary.rename(folder)
-        return Pack(folder)
+            del episode, rows, row  # or they lived on while the next is read
+    if not lengths:
+        raise ValueError("There is no demonstration to pack.")
+    np.save(folder / f"{ENDS}.npy", np.cumsum(lengths, dtype=np.int64))
+    (folder / ABOUT).write_text(json.dumps({"arrays": list(arrays), "action_names": names}))
+
+
+def _rows(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
+    yield "state", episode.state
+    yield "action", episode.actions
+    yield "dq", episode.robot["dq"]
+    yield "phase", episode.phase
+    yield "gate", episode.gate
+    yield "contact", episode.contact
+    if episode.points is not None:
+        yield "points", episode.points.astype(np.float16)  # 0.24 mm at most, half the size
+
+
+class _Growing:
+    """A .npy file that rows are added to: numpy leaves room in its header for the number of rows.
+
+    Args:
+        file: Open for writing, empty.
+        like: An array of the same type and shape but for the number of rows.
+    """
+
+    def __init__(self, file: BinaryIO, like: NDArray[Any]) -> None:
+        self._file, self._like, self._n = file, like[:0].copy(), 0
+        self._write_header()
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Add rows at the end."""
+        self._file.write(np.ascontiguousarray(rows, dtype=self._like.dtype).tobytes())
+        self._n += len(rows)
+
+    def finish(self) -> None:
+        """Write into the header how many rows there are."""
+        self._file.seek(0)
+        self._write_header()
+
+    def _write_header(self) -> None:
+        header: Mapping[str, Any] = np.lib.format.header_data_from_array_1_0(self._like)
+        shape = (self._n, *self._like.shape[1:])
+        np.lib.format.write_array_header_1_0(self._file, {**header, "shape": shape})
+
+
+@contextlib.contextmanager
+def _growing(folder: Path, name: str, like: NDArray[Any]) -> Iterator[_Growing]:
+    with (folder / f"{name}.npy").open("wb") as file:
+        array = _Growing(file, like)
+        yield array
+        array.finish()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos import Attempt, Episode, atomic_write
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode, atomic_write
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
 from dynaforge.evaluation import DgrReport
 from dynaforge.reports.video import contact_sheet
@@ -21,38 +21,64 @@ SHEET = "contact.png"
 SHOWN, MOMENTS = 4, 4
 
 
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What a card tells of an episode: episodes themselves are too large to be kept until it is written.
+
+    Attributes:
+        id: Of the episode.
+        steps: Control steps.
+        made_by: Generator, and digest of its policy.
+        versions: Of the packages that it was recorded with, JSON.
+    """
+
+    id: str
+    steps: int
+    made_by: str
+    versions: str
+
+    @staticmethod
+    def of(episode: Episode) -> Exported:
+        """Note an episode."""
+        made_by = f"{episode.generator} {episode.meta.get('policy_hash', '')}".strip()
+        return Exported(episode.id, len(episode), made_by, json.dumps(episode.meta.get("versions", {}), sort_keys=True))
+
+
 def write_card(
-    folder: Path, task: Task, attempts: Sequence[Attempt], episodes: Sequence[Episode], *, layout: str, command: str,
-    licence: str, actions: Sequence[str], observations: ObservationFolder | None = None,
+    folder: Path, task: Task, dataset: DemonstrationDataset, episodes: Sequence[Exported], *, layout: str,
+    command: str, licence: str, contents: Mapping[str, str], observations: ObservationFolder | None = None,
 ) -> str:  # fmt: skip
     """Write `README.md` and `contact.png` into an exported dataset.
 
     Args:
         folder: The export.
         task: The task.
-        attempts: All attempts behind it, failures too.
+        dataset: What it was made from; all its attempts are told of, failures too.
         episodes: What it holds.
         layout: Name of the format.
         command: What made it.
         licence: An SPDX identifier.
-        actions: Names of the components of an action.
+        contents: More rows of the table, e.g. the names of the components of an action.
         observations: Rendered pictures, for the contact sheet; without any the episodes shown are simulated again.
 
     Returns:
         Why there is no contact sheet; "" if there is one.
     """
-    shown = [episodes[k] for k in np.linspace(0, len(episodes) - 1, min(SHOWN, len(episodes))).astype(int)]
+    middle = np.linspace(0, len(episodes) - 1, min(SHOWN, len(episodes))).astype(int)
+    shown = [dataset[episodes[k].id] for k in middle]
+    attempts = dataset.attempts()
     try:
         pictures, labels = _moments(task, shown, observations)
         atomic_write(folder / SHEET, contact_sheet(pictures, labels, columns=MOMENTS, cell_width=240))
         problem = ""
     except ValueError as error:
         problem = str(error)
-    steps, fps = [len(e) for e in episodes], task.scene.fps
+    steps, fps = [e.steps for e in episodes], task.scene.fps
     reports = [_report(task, attempts, name) for name in sorted({attempt.generator for attempt in attempts})]
-    generators = Counter(f"{e.generator} {e.meta.get('policy_hash', '')}".strip() for e in episodes)
+    generators = Counter(e.made_by for e in episodes)
     won = ", ".join(f"{report.label}: {report.total.successes} of {report.n} attempts" for report in reports)
-    versions = {json.dumps(e.meta.get("versions", {}), sort_keys=True) for e in episodes}
+    versions = {e.versions for e in episodes}
+    more = "".join(f"| {name} | {value} |\n" for name, value in contents.items())
     text = f"""---
 license: {licence.lower()}
 task_categories: [robotics]
@@ -70,11 +96,11 @@ tags: [dynaforge, {task.name}, simulation{", LeRobot" if layout == "lerobot" els
 | demonstrations | {len(episodes)}, {sum(steps)} control steps at {fps} Hz ({min(steps)} to {max(steps)} each) |
 | robot | simulated Franka arm and hand (PyBullet), from the ready pose |
 | skill | {task.skill} |
+| instruction | {task.instruction} |
 | randomised | {task.randomisation} |
 | made by | {", ".join(f"{name} ({n})" for name, n in generators.most_common())} |
 | successes | {won}; failures are not hidden |
-| actions | {", ".join(actions)} |
-| format | {layout} |
+{more}| format | {layout} |
 | licence | {licence} |
 | versions | {"; ".join(sorted(versions))} |
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -150,3 +151,20 @@ def test_a_folder_keeps_to_its_settings(tmp_path: Path) -> None:
 def test_empty_settings_are_refused(cameras: tuple[str, ...], kind: dict[str, bool]) -> None:
     with pytest.raises(ValueError, match=r"at least one|Nothing to render"):
         settings("can", *cameras, **kind)
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x", "a/b", "/x", "..", ".x", "a\0b", "a\nb", "", "points", "x" * 300, 7, None, ["a"]]
+)
+def test_a_camera_whose_name_is_no_part_of_a_file_name_is_refused_where_settings_are_read(
+    tmp_path: Path, name: object
+) -> None:
+    """Settings come with a downloaded dataset; exports name files by their cameras."""
+    ObservationFolder(tmp_path, settings("can", "front"))
+    held = json.loads((tmp_path / "settings.json").read_text())
+    held["cameras"][0]["name"] = name
+    (tmp_path / "settings.json").write_text(json.dumps(held))
+    with pytest.raises(DamagedFileError, match="no name for a camera"):
+        ObservationFolder(tmp_path)
+    with pytest.raises(ValueError, match="no name for a camera"):
+        ObservationSettings((replace(standard_cameras(get_task("can"))["front"], name=name),))  # type: ignore[arg-type]

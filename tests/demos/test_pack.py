@@ -14,11 +14,13 @@ from dynaforge.demos.pack import Pack
 def frames(k: int, n: int, *, points: bool = True) -> Frames:
     """Frames whose state, action and points all tell episode and step: 100 k + step."""
     label = (100 * k + np.arange(n, dtype=np.float32))[:, None]
-    robot = {"ee_position": label, "ee_quat_wxyz": label, "width": label, "q": label}
+    robot = {"ee_position": label, "ee_quat_wxyz": label, "width": label, "q": label, "dq": label}
     cloud = np.repeat(label[:, None], 3, axis=2) if points else None
     return Frames(
-        id=str(k), success=True, fps=30, robot=robot, objects={}, actions=label, action_names=("a",),
-        rewards=label[:, 0], images={}, points=cloud, point_colors=None, episode=make_episode(k),
+        id=str(k), success=True, fps=30, robot=robot, objects={}, privileged=False, actions=label, action_names=("a",),
+        action_mode="joint", rotation="", rewards=label[:, 0], phase=np.full(n, k), gate=np.ones(n, dtype=bool),
+        contact=np.zeros((n, 2), dtype=bool), images={}, depths={}, points=cloud, point_colors=None,
+        episode=make_episode(k),
     )  # fmt: skip
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Iterable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -15,13 +18,17 @@ FORMATS = {
     "lerobot": "LeRobotDataset v3.0: parquet and, with rendered images, MP4",
     "robomimic": "robomimic HDF5, low-dimensional and images",
     "dp3-zarr": "3D Diffusion Policy's zarr; needs rendered points",
-    "minari": "Minari (HDF5)",
+    "minari": "Minari (HDF5), low-dimensional",
 }
+UNFINISHED = ".unfinished"
 Exporter = Callable[[Path, Task, Iterable[Frames]], int]
 
 
 def exporter(name: str) -> Exporter:
     """Return what writes a format: called with folder, task and episodes, it returns how many it wrote.
+
+    It takes the episodes one by one and keeps none. The folder is new or empty, and whatever ends the writing early
+    leaves it as it was.
 
     Raises:
         ValueError: No such format.
@@ -33,5 +40,24 @@ def exporter(name: str) -> Exporter:
         module = import_module(f"dynaforge.demos.exporters.{name.replace('-', '_')}")
     except ImportError as error:
         raise ImportError(f"Format {name} needs {error.name}: pip install 'dynaforge[data]'.") from error
-    write: Exporter = module.write
-    return write
+    return partial(_whole, module.write)
+
+
+def _whole(write: Exporter, folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
+    """Write into a hidden folder beside the final names, and move what is whole to them."""
+    new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    if held := sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")):
+        raise FileExistsError(f"{folder} holds {', '.join(held[:3])} already. Choose a new or empty folder.")
+    unfinished = folder / UNFINISHED
+    shutil.rmtree(unfinished, ignore_errors=True)  # of an export that was killed
+    unfinished.mkdir()
+    try:
+        n = write(unfinished, task, episodes)
+        for path in unfinished.iterdir():
+            os.replace(path, folder / path.name)
+    except BaseException:
+        shutil.rmtree(folder if new else unfinished, ignore_errors=True)
+        raise
+    unfinished.rmdir()
+    return n

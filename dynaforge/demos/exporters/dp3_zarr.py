@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,12 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import Frames
+from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Frames, env_of
 from dynaforge.tasks import Task
 
 FOLDER = "demos.zarr"
 ROWS = 100  # control steps a chunk
+NEEDED = "Format dp3-zarr needs point clouds: dynaforge render FOLDER --points 1024."
 
 
 def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
@@ -26,27 +25,54 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     Raises:
         ValueError: There is none, or its points were not rendered.
     """
-    final, temporary = folder / FOLDER, folder / f".{FOLDER}.tmp"
-    shutil.rmtree(temporary, ignore_errors=True)
-    root = zarr.open_group(str(temporary), mode="w", zarr_format=2)
+    root = zarr.open_group(str(folder / FOLDER), mode="w", zarr_format=2)
     data, ends = root.create_group("data"), [0]
     for episode in episodes:
-        if episode.points is None or episode.point_colors is None:
-            raise ValueError("Format dp3-zarr needs point clouds: dynaforge render FOLDER --points 1024.")
-        rows: dict[str, NDArray[Any]] = {
-            "point_cloud": episode.points, "point_cloud_color": episode.point_colors,
-            "state": episode.state, "action": episode.actions,
-        }  # fmt: skip
-        for name, row in rows.items():
+        for name, row in _arrays(episode):
             if name not in data:
                 data.create_array(
                     name, shape=(0, *row.shape[1:]), chunks=(ROWS, *row.shape[1:]), dtype=row.dtype,
                     compressors=numcodecs.Blosc(cname="zstd", clevel=3, shuffle=numcodecs.Blosc.SHUFFLE),
                 )  # fmt: skip
             data[name].append(row)
+        if len(ends) == 1:
+            _describe(root, task, episode)
         ends.append(ends[-1] + len(episode))
+        del episode, row  # or they lived on while the next is read
     if len(ends) == 1:
         raise ValueError("There is no demonstration to export.")
     root.create_group("meta").create_array("episode_ends", data=np.array(ends[1:], dtype=np.int64))
-    os.replace(temporary, final)
     return len(ends) - 1
+
+
+def _arrays(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays of an episode; the first camera's go by the names that DP3 gives to its only one."""
+    if episode.points is None or episode.point_colors is None:
+        raise ValueError(NEEDED)
+    yield "point_cloud", episode.points
+    yield "point_cloud_color", episode.point_colors
+    yield "state", episode.state
+    yield "action", episode.actions
+    yield "dq", episode.robot["dq"]
+    yield "phase", episode.phase
+    yield "gate", episode.gate
+    yield "contact", episode.contact
+    if episode.privileged:
+        yield "privileged_state", episode.object_state
+    for k, (camera, film) in enumerate(episode.images.items()):
+        yield f"img_{camera}" if k else "img", film
+    for k, (camera, depth) in enumerate(episode.depths.items()):
+        yield f"depth_{camera}" if k else "depth", (depth * 1e-4).astype(np.float32)
+
+
+def _describe(root: Any, task: Task, episode: Frames) -> None:
+    names = {
+        "state": STATE_NAMES, "action": episode.action_names, "dq": JOINTS, "contact": CONTACTS,
+        "phase": [phase.name for phase in task.phases],
+    }  # fmt: skip
+    if episode.privileged:
+        names["privileged_state"] = episode.object_names
+    for name, components in names.items():
+        root["data"][name].attrs["names"] = list(components)
+    root.attrs["instruction"] = task.instruction
+    root.attrs["env"] = {"id": env_of(task), **episode.env_arguments(task)}

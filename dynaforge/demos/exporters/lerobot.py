@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from PIL import Image
 
-from dynaforge.demos.exporters.frames import STATE_NAMES, Frames
+from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Frames
+from dynaforge.demos.exporters.statistics import Statistics, statistics
 from dynaforge.tasks import Task
 
 VERSION = "v3.0"
@@ -24,20 +26,12 @@ VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 CHUNK = 1000  # files a folder
 KEYFRAME_EVERY = 2  # frames: learners jump to any of them
-INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-STATISTICS: dict[str, Callable[..., Any]] = {"min": np.min, "max": np.max, "mean": np.mean, "std": np.std}
-QUANTILES = (1, 10, 50, 90, 99)
+INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index", "subtask_index")
+ROWS = 200  # of meta/episodes, held until they are written
+NO_PHASE = "none"
+PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
-
-@dataclass(slots=True)
-class _Written:
-    """What was written so far."""
-
-    features: dict[str, dict[str, Any]] = field(default_factory=dict)
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    columns: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
-    pictures: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
-    frames: int = 0
+Row = dict[str, Any]
 
 
 def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
@@ -46,157 +40,248 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     Raises:
         ValueError: There is none.
     """
-    done, writer = _Written(), None
-    data = folder / DATA.format(chunk_index=0, file_index=0)
-    data.parent.mkdir(parents=True)
+    writer = None
     try:
         for episode in episodes:
-            if not done.rows:
-                done.features = _features(episode)
-            table = _table(episode, done)
-            writer = writer or pq.ParquetWriter(data, table.schema, compression="snappy")
-            writer.write_table(table)
-            _add(folder, episode, done, _sentence(task))
+            writer = writer or _Writer(folder, task, episode)
+            writer.add(episode)
+            del episode  # or it lived on while the next is read
     finally:
         if writer is not None:
             writer.close()
-    if not done.rows:
+    if writer is None:
         raise ValueError("There is no demonstration to export.")
-    _write_meta(folder, task, done)
-    return len(done.rows)
+    writer.write_meta()
+    return writer.episodes
 
 
-def _sentence(task: Task) -> str:
-    return f"{task.skill}: {task.motion}"
+class _Writer:
+    """Writes episodes as they come; what it keeps of them does not grow with their pictures.
 
+    Args:
+        folder: Of the dataset.
+        task: The task.
+        first: The first episode, which tells the columns.
+    """
 
-def _features(episode: Frames) -> dict[str, dict[str, Any]]:
-    """Describe the columns, as info.json does."""
+    def __init__(self, folder: Path, task: Task, first: Frames) -> None:
+        self._folder, self._task = folder, task
+        self.features, self.n_phases = features(first), len(task.phases)
+        self.episodes = self.frames = 0
+        self._statistics = {name: Statistics() for name in self.features}
+        self._pixels = 1  # taken of each picture
+        self._rows: list[Row] = []
+        for path in (DATA.format(chunk_index=0, file_index=0), EPISODES):
+            (folder / path).parent.mkdir(parents=True)
+        self._data: pq.ParquetWriter | None = None
+        self._about: pq.ParquetWriter | None = None
 
-    def vector(names: Iterable[str]) -> dict[str, Any]:
-        names = list(names)
-        return {"dtype": "float32", "shape": [len(names)], "names": names}
-
-    features = {
-        "observation.state": vector(STATE_NAMES),
-        "observation.environment_state": vector(episode.object_names),
-        "action": vector(episode.action_names),
-        "next.reward": {"dtype": "float32", "shape": [1], "names": None},
-        "next.done": {"dtype": "bool", "shape": [1], "names": None},
-        "next.success": {"dtype": "bool", "shape": [1], "names": None},
-    }
-    for camera, film in episode.images.items():
-        _, height, width, _ = film.shape
-        features[f"observation.images.{camera}"] = {
-            "dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"],
-            "info": {
-                "video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuv420p",
-                "video.is_depth_map": False, "video.fps": episode.fps, "video.channels": 3, "has_audio": False,
-            },
+    def add(self, episode: Frames) -> None:
+        """Write an episode: its row group, its films, its row of meta/episodes."""
+        n = len(episode)
+        columns = _columns(episode, self)
+        table = _table(columns, episode, self.features)
+        if self._data is None:
+            path = self._folder / DATA.format(chunk_index=0, file_index=0)
+            self._data = pq.ParquetWriter(path, table.schema, compression="snappy")
+        self._data.write_table(table)
+        row: Row = {
+            "episode_index": self.episodes, "tasks": [self._task.instruction], "length": n,
+            "data/chunk_index": 0, "data/file_index": 0,
+            "dataset_from_index": self.frames, "dataset_to_index": self.frames + n,
         }  # fmt: skip
-    for name in INDICES:
-        kind = "float32" if name == "timestamp" else "int64"
-        features[name] = {"dtype": kind, "shape": [1], "names": None}
-    return features
+        for name, column in columns.items():
+            self._statistics[name].add(column)
+            row |= {f"stats/{name}/{key}": value for key, value in statistics(column).items()}
+        for camera, film in episode.images.items():
+            row |= self._film(f"observation.images.{camera}", film, episode.fps)
+        for camera, depth in episode.depths.items():
+            row |= self._pictures(f"observation.images.{camera}_depth", depth[..., None], unit=0.1)
+        self._rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
+        self.episodes, self.frames = self.episodes + 1, self.frames + n
+        if len(self._rows) >= ROWS:
+            self._flush()
+
+    def _film(self, key: str, film: NDArray[np.uint8], fps: int) -> Row:
+        chunk, file = divmod(self.episodes, CHUNK)
+        path = self._folder / VIDEO.format(video_key=key, chunk_index=chunk, file_index=file)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_film(path, film, fps)
+        end = len(film) / fps
+        where = {"chunk_index": chunk, "file_index": file, "from_timestamp": 0.0, "to_timestamp": end}
+        row = {f"videos/{key}/{name}": value for name, value in where.items()}
+        return row | self._pictures(key, film, unit=1 / 255)
+
+    def _pictures(self, key: str, film: NDArray[Any], *, unit: float) -> Row:
+        """Take some pixels of some pictures into the statistics; returns those of the episode."""
+        some = film[:: max(1, len(film) // 8), ::4, ::4]
+        pixels = some.reshape(-1, some.shape[-1]) * unit
+        self._statistics[key].add(pixels)
+        self._pixels = len(pixels) // len(some)
+        own = _by_channel(statistics(pixels), self._pixels)
+        return {f"stats/{key}/{name}": value for name, value in own.items()}
+
+    def _flush(self) -> None:
+        if self._rows:
+            table = pa.Table.from_pylist(self._rows, schema=self._about and self._about.schema)
+            self._about = self._about or pq.ParquetWriter(self._folder / EPISODES, table.schema)
+            self._about.write_table(table)
+            self._rows.clear()
+
+    def close(self) -> None:
+        """Finish the tables."""
+        self._flush()
+        for writer in (self._data, self._about):
+            if writer is not None:
+                writer.close()
+
+    def write_meta(self) -> None:
+        """Write what describes the whole, once all episodes are written."""
+        stats: dict[str, Any] = {}
+        for name, found in self._statistics.items():
+            of_picture = self.features[name]["dtype"] in ("video", "image")
+            stats[name] = _by_channel(found.summary(), self._pixels) if of_picture else found.summary()
+        films = any(feature["dtype"] == "video" for feature in self.features.values())
+        info = {
+            "codebase_version": VERSION, "robot_type": "franka", "total_episodes": self.episodes,
+            "total_frames": self.frames, "total_tasks": 1, "chunks_size": CHUNK, "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 200, "fps": self._task.scene.fps, "splits": {"train": f"0:{self.episodes}"},
+            "data_path": DATA, "video_path": VIDEO if films else None, "features": self.features,
+        }  # fmt: skip
+        meta = self._folder / "meta"
+        phases = [*(phase.name for phase in self._task.phases), NO_PHASE]
+        _write_names(meta / "tasks.parquet", "task", [self._task.instruction])
+        _write_names(meta / "subtasks.parquet", "subtask", phases)
+        (meta / "stats.json").write_text(json.dumps(stats, indent=1))
+        (meta / "info.json").write_text(json.dumps(info, indent=1))
 
 
-def _columns(episode: Frames, done: _Written) -> dict[str, NDArray[Any]]:
+def features(episode: Frames) -> dict[str, Row]:
+    """Describe the columns, as info.json does.
+
+    LeRobot's policies take as input what is called `observation.environment_state`, and so it is called where there
+    are no pictures; beside pictures the truth about objects has a name that none of them reads.
+    """
+    found = {
+        "observation.state": _vector(STATE_NAMES),
+        "observation.joint_velocity": _vector(JOINTS),
+        "action": _vector(episode.action_names),
+        "next.reward": _scalar("float32"),
+        "next.done": _scalar("bool"),
+        "next.success": _scalar("bool"),
+        "gate": _scalar("bool"),
+        "contact": _vector(CONTACTS, "bool"),
+    }
+    if episode.privileged:
+        found[_truth(episode)] = _vector(f"privileged_{name}" for name in episode.object_names)
+    for camera, film in episode.images.items():
+        found[f"observation.images.{camera}"] = _film_feature(film, episode.fps)
+    for camera, depth in episode.depths.items():
+        height, width = _even(depth[0]).shape
+        found[f"observation.images.{camera}_depth"] = {
+            "dtype": "image", "shape": [height, width, 1], "names": ["height", "width", "channels"],
+            "info": {"is_depth_map": True, "depth_unit": "mm"},
+        }  # fmt: skip
+    return found | {name: _scalar("float32" if name == "timestamp" else "int64") for name in INDICES}
+
+
+def _vector(names: Iterable[str], dtype: str = "float32") -> Row:
+    names = list(names)
+    return {"dtype": dtype, "shape": [len(names)], "names": names}
+
+
+def _scalar(dtype: str) -> Row:
+    return {"dtype": dtype, "shape": [1], "names": None}
+
+
+def _truth(episode: Frames) -> str:
+    return "observation.privileged_state" if episode.images else "observation.environment_state"
+
+
+def _film_feature(film: NDArray[np.uint8], fps: int) -> Row:
+    height, width, _ = _even(film[0]).shape
+    return {
+        "dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"],
+        "info": {
+            "video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuv420p",
+            "video.is_depth_map": False, "video.fps": fps, "video.channels": 3, "has_audio": False,
+        },
+    }  # fmt: skip
+
+
+def _columns(episode: Frames, at: _Writer) -> dict[str, NDArray[Any]]:
+    """Return the columns that hold numbers."""
     n = len(episode)
     steps, last = np.arange(n), np.arange(n) == n - 1
-    return {
+    columns = {
         "observation.state": episode.state,
-        "observation.environment_state": episode.object_state,
+        "observation.joint_velocity": episode.robot["dq"],
         "action": episode.actions,
         "next.reward": episode.rewards,
         "next.done": last,
         "next.success": last & episode.success,
+        "gate": episode.gate,
+        "contact": episode.contact,
         "timestamp": (steps / episode.fps).astype(np.float32),
         "frame_index": steps,
-        "episode_index": np.full(n, len(done.rows)),
-        "index": done.frames + steps,
+        "episode_index": np.full(n, at.episodes),
+        "index": at.frames + steps,
         "task_index": np.zeros(n, dtype=np.int64),
+        "subtask_index": np.where(episode.phase < 0, at.n_phases, episode.phase),
     }
+    return columns | ({_truth(episode): episode.object_state} if episode.privileged else {})
 
 
-def _table(episode: Frames, done: _Written) -> pa.Table:
-    columns = _columns(episode, done)
-    for name, column in columns.items():
-        done.columns.setdefault(name, []).append(column)
+def _table(columns: Mapping[str, NDArray[Any]], episode: Frames, about: Mapping[str, Row]) -> pa.Table:
     arrays, hf = {}, {}
     for name, column in columns.items():
-        kind = done.features[name]["dtype"]
+        kind = about[name]["dtype"]
         if column.ndim == 1:
             arrays[name], hf[name] = pa.array(column), {"dtype": kind, "_type": "Value"}
         else:
             flat = pa.array(np.ascontiguousarray(column).ravel())
             arrays[name] = pa.FixedSizeListArray.from_arrays(flat, column.shape[1])
             hf[name] = {"feature": {"dtype": kind, "_type": "Value"}, "length": column.shape[1], "_type": "Sequence"}
-    about = json.dumps({"info": {"features": hf}})
-    return pa.table(arrays).replace_schema_metadata({"huggingface": about})
+    for camera, depth in episode.depths.items():
+        name = f"observation.images.{camera}_depth"
+        arrays[name] = pa.array([{"bytes": _png(picture), "path": None} for picture in depth], PICTURE)
+        hf[name] = {"_type": "Image"}
+    metadata = json.dumps({"info": {"features": hf}})
+    return pa.table(arrays).replace_schema_metadata({"huggingface": metadata})
 
 
-def _add(folder: Path, episode: Frames, done: _Written, sentence: str) -> None:
-    """Write the films of an episode and note its row of meta/episodes."""
-    k, n = len(done.rows), len(episode)
-    chunk, file = divmod(k, CHUNK)
-    row: dict[str, Any] = {
-        "episode_index": k, "tasks": [sentence], "length": n, "data/chunk_index": 0, "data/file_index": 0,
-        "dataset_from_index": done.frames, "dataset_to_index": done.frames + n,
-    }  # fmt: skip
-    for name in done.columns:
-        row |= {f"stats/{name}/{key}": value for key, value in _statistics(done.columns[name][-1]).items()}
-    for camera, film in episode.images.items():
-        key = f"observation.images.{camera}"
-        path = folder / VIDEO.format(video_key=key, chunk_index=chunk, file_index=file)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _write_film(path, film, episode.fps)
-        where = {"chunk_index": chunk, "file_index": file, "from_timestamp": 0.0, "to_timestamp": n / episode.fps}
-        row |= {f"videos/{key}/{name}": value for name, value in where.items()}
-        pixels = film[:: max(1, n // 8), ::4, ::4]
-        done.pictures.setdefault(key, []).append(pixels)
-        row |= {f"stats/{key}/{name}": value for name, value in _picture_statistics([pixels]).items()}
-    done.rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
-    done.frames += n
+def _even(picture: NDArray[Any]) -> NDArray[Any]:
+    """Repeat the last row or column where their number is odd: H.264 halves its colours both ways."""
+    if not (picture.shape[0] % 2 or picture.shape[1] % 2):
+        return picture
+    widths = [(0, size % 2) for size in picture.shape[:2]] + [(0, 0)] * (picture.ndim - 2)
+    return np.pad(picture, widths, mode="edge")
+
+
+def _png(picture: NDArray[np.uint16]) -> bytes:
+    """Encode a depth map in whole millimetres, as LeRobot wants it."""
+    buffer = io.BytesIO()
+    Image.fromarray(_even(np.round(picture * 0.1).astype(np.uint16))).save(buffer, format="PNG", compress_level=1)
+    return buffer.getvalue()
 
 
 def _write_film(path: Path, film: NDArray[np.uint8], fps: int) -> None:
+    height, width, _ = _even(film[0]).shape
     with av.open(str(path), "w") as container:
         options = {"g": str(KEYFRAME_EVERY), "crf": "23"}
         stream = container.add_stream("libx264", rate=fps, options=options)
-        stream.height, stream.width, stream.pix_fmt = film.shape[1], film.shape[2], "yuv420p"
+        stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
         for picture in film:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(_even(picture), format="rgb24")))
         container.mux(stream.encode())
 
 
-def _statistics(column: NDArray[Any]) -> dict[str, list[float]]:
-    rows = np.asarray(column, dtype=np.float64).reshape(len(column), -1)
-    found = {name: measure(rows, axis=0).tolist() for name, measure in STATISTICS.items()}
-    found |= {f"q{q:02d}": np.percentile(rows, q, axis=0).tolist() for q in QUANTILES}
-    return found | {"count": [len(rows)]}
+def _by_channel(found: Mapping[str, list[float]], pixels: int) -> Row:
+    """Shape the statistics of pixels as (C, 1, 1), and count pictures."""
+    shaped = {name: [[[value]] for value in values] for name, values in found.items() if name != "count"}
+    return {**shaped, "count": [int(found["count"][0]) // pixels]}
 
 
-def _picture_statistics(films: list[NDArray[np.uint8]]) -> dict[str, Any]:
-    """Statistics of each channel within [0, 1], shaped (3, 1, 1), of some pixels of some pictures."""
-    pixels = np.concatenate([film.reshape(-1, 3) for film in films]) / 255.0
-    found: dict[str, Any] = {
-        name: [[[value]] for value in values] for name, values in _statistics(pixels).items() if name != "count"
-    }
-    return found | {"count": [sum(len(film) for film in films)]}
-
-
-def _write_meta(folder: Path, task: Task, done: _Written) -> None:
-    stats: dict[str, Any] = {name: _statistics(np.concatenate(parts)) for name, parts in done.columns.items()}
-    stats |= {name: _picture_statistics(parts) for name, parts in done.pictures.items()}
-    info = {
-        "codebase_version": VERSION, "robot_type": "franka", "total_episodes": len(done.rows),
-        "total_frames": done.frames, "total_tasks": 1, "chunks_size": CHUNK, "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200, "fps": task.scene.fps, "splits": {"train": f"0:{len(done.rows)}"},
-        "data_path": DATA, "video_path": VIDEO if done.pictures else None, "features": done.features,
-    }  # fmt: skip
-    meta = folder / "meta"
-    (folder / EPISODES).parent.mkdir(parents=True)
-    pq.write_table(pa.Table.from_pylist(done.rows), folder / EPISODES)
-    pd.DataFrame({"task_index": [0]}, index=pd.Index([_sentence(task)], name="task")).to_parquet(meta / "tasks.parquet")
-    (meta / "stats.json").write_text(json.dumps(stats, indent=1))
-    (meta / "info.json").write_text(json.dumps(info, indent=1))
+def _write_names(path: Path, kind: str, names: list[str]) -> None:
+    """Write what the indices of a kind stand for."""
+    pd.DataFrame({f"{kind}_index": range(len(names))}, index=pd.Index(names, name=kind)).to_parquet(path)

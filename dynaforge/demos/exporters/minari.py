@@ -1,21 +1,29 @@
-"""Minari's local storage: T + 1 observations, T actions."""
+"""Minari's local storage: T + 1 observations, T actions, and the env that they belong to."""
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import os
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import minari
 import numpy as np
 from minari.data_collector import EpisodeBuffer
+from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import Floats, Frames, without_jumps
+from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Floats, Frames, env_of, without_jumps
 from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
+
+ROOT = "MINARI_DATASETS_PATH"
 
 
 def dataset_id(task: Task) -> str:
@@ -27,35 +35,77 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     """Write below the folder, which is then a `MINARI_DATASETS_PATH`; returns the number of demonstrations.
 
     An observation is the robot's and the objects' state; the one after the last action, which a recording does not
-    hold, is simulated again.
+    hold, is simulated again. `infos` hold phase, gate, contact and joint velocities; their last row is that of the
+    last action, but for the velocities.
 
     Raises:
         ValueError: There is no demonstration, or one cannot be simulated again.
     """
-    replayer = Replayer(task)
-    buffers = [_buffer(k, episode, replayer) for k, episode in enumerate(episodes)]
-    replayer.close()
-    if not buffers:
+    remaining = iter(episodes)
+    first = next(remaining, None)
+    if first is None:
         raise ValueError("There is no demonstration to export.")
-    sizes = [np.shape(getattr(buffers[0], name))[1] for name in ("observations", "actions")]
+    about = _about(task, first)
+    sizes = (_rows(first).shape[1], first.actions.shape[1])
     spaces = [gym.spaces.Box(-np.inf, np.inf, (size,), np.float32) for size in sizes]
-    before = os.environ.get("MINARI_DATASETS_PATH")
-    os.environ["MINARI_DATASETS_PATH"] = str(folder.resolve())
+    env = gym.Env[Any, Any]()  # not the env itself, which would start physics: only what it is made from is stored
+    env.spec = _spec(task, first)
+    found = chain([first], remaining)
+    del first  # or it lived as long as the export lasts
+    replayer = Replayer(task)
     try:
-        minari.create_dataset_from_buffers(
-            dataset_id(task), buffers, observation_space=spaces[0], action_space=spaces[1],
-            algorithm_name="dynaforge", description=f"{task.motion} {task.goal}", data_format="hdf5",
-        )  # fmt: skip
+        with _rooted(folder), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", r"`\w+` is set to None|env_spec is None", UserWarning)
+            dataset = minari.create_dataset_from_buffers(
+                dataset_id(task), _buffers(found, replayer), env, observation_space=spaces[0], action_space=spaces[1],
+                algorithm_name="dynaforge", description=f"{task.instruction}. {task.motion} {task.goal}",
+                data_format="hdf5",
+            )  # fmt: skip
+    finally:
+        replayer.close()
+    dataset.storage.update_metadata(about)
+    return int(dataset.total_episodes)
+
+
+@contextlib.contextmanager
+def _rooted(folder: Path) -> Iterator[None]:
+    """Let Minari write below a folder."""
+    before = os.environ.get(ROOT)
+    os.environ[ROOT] = str(folder.resolve())
+    try:
+        yield
     finally:
         if before is None:
-            del os.environ["MINARI_DATASETS_PATH"]
+            del os.environ[ROOT]
         else:
-            os.environ["MINARI_DATASETS_PATH"] = before
-    return len(buffers)
+            os.environ[ROOT] = before
+
+
+def _spec(task: Task, frames: Frames) -> gym.envs.registration.EnvSpec | None:
+    """Return what `recover_environment` makes the actions' env from; None for a task that no env is registered of."""
+    spec = copy.deepcopy(gym.registry.get(env_of(task)))
+    if spec is not None:
+        spec.kwargs |= frames.env_arguments(task)
+    return spec
+
+
+def _about(task: Task, frames: Frames) -> dict[str, Any]:
+    names = [*STATE_NAMES, *(f"privileged_{name}" for name in frames.object_names if frames.privileged)]
+    return {
+        "instruction": task.instruction, "observation_names": names, "action_names": list(frames.action_names),
+        "phase_names": [phase.name for phase in task.phases],
+        "info_names": {"contact": list(CONTACTS), "dq": list(JOINTS)},
+    }  # fmt: skip
+
+
+def _buffers(episodes: Iterable[Frames], replayer: Replayer) -> Iterator[EpisodeBuffer]:
+    for k, frames in enumerate(episodes):
+        yield _buffer(k, frames, replayer)
+        del frames  # or it lived on while the next is read
 
 
 def _buffer(k: int, frames: Frames, replayer: Replayer) -> EpisodeBuffer:
-    rows = np.concatenate((frames.state, frames.object_state), axis=1)
+    rows = _rows(frames)
     for state in replayer.states(frames.episode):
         last = state
     n = len(frames)
@@ -67,7 +117,21 @@ def _buffer(k: int, frames: Frames, replayer: Replayer) -> EpisodeBuffer:
         rewards=frames.rewards.tolist(),
         terminations=[step == n - 1 for step in range(n)],
         truncations=[False] * n,
+        infos={
+            "phase": _longer(frames.phase),
+            "gate": _longer(frames.gate),
+            "contact": _longer(frames.contact),
+            "dq": np.vstack((frames.robot["dq"], last.dq)).astype(np.float32),
+        },
     )
+
+
+def _longer(rows: NDArray[Any]) -> NDArray[Any]:
+    return np.concatenate((rows, rows[-1:]))
+
+
+def _rows(frames: Frames) -> Floats:
+    return np.concatenate((frames.state, frames.object_state), axis=1) if frames.privileged else frames.state
 
 
 def _row(state: SceneState, frames: Frames, before: Floats) -> Floats:
@@ -79,7 +143,7 @@ def _row(state: SceneState, frames: Frames, before: Floats) -> Floats:
             f"{name}_velocity": body.velocity, f"{name}_angular_velocity": body.angular_velocity,
         }  # fmt: skip
     parts = [("", state.ee.position), ("_quat_wxyz", state.ee.quat_wxyz), ("", np.array([state.width])), ("", state.q)]
-    parts += [(name, objects[name]) for name in frames.objects]
+    parts += [(name, objects[name]) for name in frames.objects if frames.privileged]
     row, at = [], 0
     for name, part in parts:
         held = before[at : at + len(part)]

@@ -1,22 +1,24 @@
-"""robomimic's HDF5: `data/demo_<k>` with actions, rewards, dones, states, obs/<name>; `mask/<split>`."""
+"""robomimic's HDF5: `data/demo_<k>` with actions, rewards, dones, obs/<name>, next_obs/<name>; `mask/<split>`."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from dynaforge.demos.atomic import atomic_write
-from dynaforge.demos.exporters.frames import Floats, Frames
-from dynaforge.registration import env_id
+from dynaforge.demos.exporters.frames import ROBOT_NAMES, Floats, Frames, axes_of, env_of
 from dynaforge.tasks import Task
 
 FILE = "demos.hdf5"
 VALID_EVERY = 10  # every tenth demonstration is for validation
 GYM = 2  # robomimic's EnvType of Gym environments
+PRIVILEGED = "privileged_"
+PRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
@@ -25,24 +27,20 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     robomimic's policies act within [-1, 1], so actions are scaled to it; the attributes `action_low` and `action_high`
     of `data` undo that: a = low + (scaled + 1) / 2 * (high - low).
 
+    Episode by episode, since pictures of all may not fit into memory; actions at the end, once their range is known.
+
     Raises:
         ValueError: There is no demonstration.
     """
-    lengths: list[int] = []
-    atomic_write(folder / FILE, lambda path: lengths.extend(_write(path, task, episodes)))
-    return len(lengths)
-
-
-def _write(path: Path, task: Task, episodes: Iterable[Frames]) -> list[int]:
-    """Write episode by episode, since pictures of all may not fit into memory; actions at the end, once scaled."""
     actions: list[Floats] = []
-    names: tuple[str, ...] = ()
-    with h5py.File(path, "w") as file:
+    about: dict[str, Any] = {}
+    with h5py.File(folder / FILE, "w") as file:
         data = file.create_group("data")
         for k, episode in enumerate(episodes):
+            about = about or _about(task, episode)
             actions.append(episode.actions)
-            names = episode.action_names
-            _write_demo(data.create_group(f"demo_{k}"), episode)
+            _write_demo(data.create_group(f"demo_{k}"), episode, task.instruction)
+            del episode  # or it lived on while the next is read
         if not actions:
             raise ValueError("There is no demonstration to export.")
         everything = np.concatenate(actions)
@@ -51,25 +49,72 @@ def _write(path: Path, task: Task, episodes: Iterable[Frames]) -> list[int]:
         for k, rows in enumerate(actions):
             data[f"demo_{k}/actions"] = 2.0 * (rows - low) / span - 1.0
         data.attrs["total"] = len(everything)
-        data.attrs["env_args"] = json.dumps({"env_name": env_id(task.name), "type": GYM, "env_kwargs": {}})
         data.attrs["action_low"], data.attrs["action_high"] = low, low + span
-        data.attrs["action_names"] = json.dumps(names)
-        valid = [k for k in range(len(actions)) if k % VALID_EVERY == VALID_EVERY - 1]
-        train = [k for k in range(len(actions)) if k not in valid]
-        for split, members in (("train", train), ("valid", valid)):
+        for name, value in about.items():
+            data.attrs[name] = value if isinstance(value, str) else json.dumps(value)
+        for split, members in _splits(len(actions)).items():
             file[f"mask/{split}"] = np.array([f"demo_{k}" for k in members], dtype="S")
-    return list(map(len, actions))
+    return len(actions)
 
 
-def _write_demo(demo: h5py.Group, episode: Frames) -> None:
+def _about(task: Task, episode: Frames) -> dict[str, Any]:
+    """Describe the columns, the words, and the env that the actions, once unscaled, belong to."""
+    env = {"env_name": env_of(task), "type": GYM, "env_kwargs": episode.env_arguments(task)}
+    names = {**ROBOT_NAMES, **{PRIVILEGED + key: axes_of(key) for key in _truth(episode)}}
+    return {
+        "env_args": env, "action_names": episode.action_names, "observation_names": names,
+        "phase_names": [phase.name for phase in task.phases], "instruction": task.instruction,
+    }  # fmt: skip
+
+
+def _splits(n: int) -> dict[str, list[int]]:
+    """Choose demonstrations to learn from and to validate with; a lone one serves for both."""
+    valid = list(range(VALID_EVERY - 1, n, VALID_EVERY)) or [n - 1]
+    return {"train": [k for k in range(n) if k not in valid] or valid, "valid": valid}
+
+
+def _truth(episode: Frames) -> Mapping[str, Floats]:
+    return episode.objects if episode.privileged else {}
+
+
+def _write_demo(demo: h5py.Group, episode: Frames, instruction: str) -> None:
     demo.attrs["num_samples"] = len(episode)
     demo.attrs["episode"] = episode.id
+    demo.attrs["ep_meta"] = json.dumps({"lang": instruction})  # where robomimic looks for a sentence
     demo["rewards"] = episode.rewards
     demo["dones"] = np.arange(len(episode)) == len(episode) - 1
-    demo["states"] = np.concatenate((episode.state, episode.object_state), axis=1)
-    for name, column in {**episode.robot, **episode.objects}.items():
-        demo[f"obs/{name}"] = column
+    demo["states"] = np.concatenate((episode.state, *_truth(episode).values()), axis=1)
+    demo["phase"], demo["gate"], demo["contact"] = episode.phase, episode.gate, episode.contact
+    for name, column in episode.robot.items():
+        _observe(demo, name, column)
+    for name, column in _truth(episode).items():
+        _observe(demo, PRIVILEGED + name, column)
+        if not episode.images and episode.points is None:  # low-dimensional learners know it by its plain name
+            for group in ("obs", "next_obs"):
+                demo[f"{group}/{name}"] = demo[f"{group}/{PRIVILEGED}{name}"]
     for camera, film in episode.images.items():
-        demo.create_dataset(f"obs/{camera}_image", data=film, compression="gzip", compression_opts=1)
+        _observe(demo, f"{camera}_image", film, chunk=True)
+    for camera, depth in episode.depths.items():
+        _observe(demo, f"{camera}_depth", (depth[..., None] * 1e-4).astype(np.float32), chunk=True)
     if episode.points is not None:
-        demo.create_dataset("obs/points", data=episode.points, compression="gzip", compression_opts=1)
+        _observe(demo, "points", episode.points, chunk=True)
+
+
+def _observe(demo: h5py.Group, name: str, rows: NDArray[Any], *, chunk: bool = False) -> None:
+    """Write what is seen before each action, and after it: the same a row later, its end repeated.
+
+    After the last action, where the episode is done, nothing was recorded and no learner looks. What comes after is a
+    view into what came before, so that pictures are not stored twice.
+    """
+    before = demo.create_dataset(
+        f"obs/{name}", data=rows, **(PRESSED | {"chunks": (1, *rows.shape[1:])} if chunk else {})
+    )
+    if not chunk:
+        demo[f"next_obs/{name}"] = np.concatenate((rows[1:], rows[-1:]))
+        return
+    source = h5py.VirtualSource(".", before.name, before.shape)
+    after = h5py.VirtualLayout(before.shape, before.dtype)
+    n = len(rows)
+    after[: n - 1] = source[1:]
+    after[n - 1] = source[n - 1]
+    demo.create_virtual_dataset(f"next_obs/{name}", after)

@@ -21,7 +21,7 @@ CAN = get_task("can")
 
 
 @pytest.fixture(scope="module")
-def episodes(tmp_path_factory: pytest.TempPathFactory) -> list[Frames]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> DemonstrationDataset:
     """Three recordings of Can, with small pictures and points."""
     pytest.importorskip("fpsample")
     folder = tmp_path_factory.mktemp("data")
@@ -33,4 +33,11 @@ def episodes(tmp_path_factory: pytest.TempPathFactory) -> list[Frames]:
     for episode in dataset:
         seen.write(episode, renderer.render(episode), renderer.things())
     renderer.close()
-    return list(read_frames(dataset, fps=CAN.scene.fps, observations=seen, failures=True))
+    return dataset
+
+
+@pytest.fixture(scope="module")
+def episodes(recorded: DemonstrationDataset) -> list[Frames]:
+    """The same to export, with the truth about the can."""
+    seen = ObservationFolder(recorded.path / "observations")
+    return list(read_frames(recorded, fps=CAN.scene.fps, observations=seen, privileged=True, failures=True))

@@ -7,12 +7,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from dynaforge.demos.exporters import FORMATS, Frames, exporter
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
 from dynaforge.demos.exporters.frames import without_jumps
+from dynaforge.demos.observations import ObservationFolder
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
@@ -25,7 +29,7 @@ def test_frames_hold_what_was_recorded(episodes: list[Frames]) -> None:
     np.testing.assert_allclose(frames.state[:, :3], steps["ee_position"], atol=1e-6)
     np.testing.assert_allclose(frames.state[:, 8:], steps["q"], atol=1e-6)
     assert frames.object_state.shape == (len(frames), 13)
-    assert frames.object_names[0] == "can_angular_velocity_0"
+    assert frames.object_names[0] == "can_angular_velocity_x"
     assert len(frames.action_names) == frames.actions.shape[1] == 8
     assert np.abs((frames.actions[:, 3:7] * frames.robot["ee_quat_wxyz"]).sum(axis=1)).min() > 0.5
 
@@ -40,14 +44,16 @@ def test_robomimic(episodes: list[Frames], tmp_path: Path) -> None:
     from robomimic.utils import dataset  # `make` installs it; without it this fails rather than goes unseen
 
     assert exporter("robomimic")(tmp_path, CAN, episodes) == 3
-    keys = ("ee_position", "can_position", "front_image")
+    keys = ("ee_position", "privileged_can_position", "front_image")
     reader = dataset.SequenceDataset(
         str(tmp_path / "demos.hdf5"), obs_keys=keys, dataset_keys=("actions", "rewards", "dones"), seq_length=4,
         frame_stack=2, load_next_obs=False, filter_by_attribute="train", hdf5_cache_mode=None,
     )  # fmt: skip
-    assert len(reader) == sum(map(len, episodes))
+    assert len(reader) == sum(map(len, episodes[:2])), "the last one is for validation"
     first = reader[5]
-    np.testing.assert_allclose(first["obs"]["can_position"], episodes[0].objects["can_position"][4:9], atol=1e-6)
+    np.testing.assert_allclose(
+        first["obs"]["privileged_can_position"], episodes[0].objects["can_position"][4:9], atol=1e-6
+    )
     np.testing.assert_array_equal(first["obs"]["front_image"], episodes[0].images["front"][4:9])
     import h5py
 
@@ -56,7 +62,76 @@ def test_robomimic(episodes: list[Frames], tmp_path: Path) -> None:
         low, high = file["data"].attrs["action_low"], file["data"].attrs["action_high"]
         assert np.abs(scaled).max() <= 1.0 + 1e-6
         np.testing.assert_allclose(low + (scaled + 1) / 2 * (high - low), episodes[1].actions, atol=1e-5)
-        assert json.loads(file["data"].attrs["env_args"])["env_name"] == "DynaForge/Can-v0"
+        assert json.loads(file["data"].attrs["env_args"])["env_name"] == "DynaForge/CanTask-v0"
+
+
+def test_robomimic_as_its_offline_learners_read_it_by_default(episodes: list[Frames], tmp_path: Path) -> None:
+    """With next_obs; from a single demonstration, which both masks name."""
+    from robomimic.utils import dataset
+
+    exporter("robomimic")(tmp_path, CAN, [episodes[0]])
+    keys = ("ee_position", "privileged_can_position", "front_image", "front_depth", "points")
+    for split in (None, "train", "valid"):
+        reader = dataset.SequenceDataset(
+            str(tmp_path / "demos.hdf5"), obs_keys=keys, dataset_keys=("actions", "dones", "phase", "gate", "contact"),
+            filter_by_attribute=split,
+        )  # fmt: skip
+        assert len(reader) == len(episodes[0])
+        first, last = reader[3], reader[len(reader) - 1]
+        after = reader[4]
+        for key in keys:
+            np.testing.assert_array_equal(first["next_obs"][key], after["obs"][key])
+            np.testing.assert_array_equal(last["next_obs"][key], last["obs"][key])
+        assert first["contact"].tolist() == [episodes[0].contact[3].tolist()]
+        assert last["dones"] == 1
+    np.testing.assert_allclose(first["obs"]["front_depth"][0, ..., 0], episodes[0].depths["front"][3] * 1e-4, atol=1e-7)
+
+
+def test_robomimic_names_the_env_of_its_actions_the_phases_and_the_words(
+    episodes: list[Frames], tmp_path: Path
+) -> None:
+    import h5py
+
+    exporter("robomimic")(tmp_path, CAN, episodes)
+    with h5py.File(tmp_path / "demos.hdf5") as file:
+        about = dict(file["data"].attrs)
+        demo = file["data/demo_0"]
+        told = json.loads(demo.attrs["ep_meta"])["lang"]
+        assert sum(map(len, (file["mask/train"], file["mask/valid"]))) == 3
+        assert json.loads(about["phase_names"])[demo["phase"][0]] == "pregrasp"
+        assert json.loads(about["observation_names"])["privileged_can_quat_wxyz"] == ["w", "x", "y", "z"]
+    assert told == about["instruction"] == "pick up the rolling can"
+    arguments = json.loads(about["env_args"])
+    env = gym.make(arguments["env_name"], **arguments["env_kwargs"])
+    assert env.unwrapped.action_mode == "ee"  # type: ignore[attr-defined]
+    env.close()
+
+
+def test_the_truth_about_objects_is_left_out_beside_pictures_unless_asked_for(
+    recorded: DemonstrationDataset, tmp_path: Path
+) -> None:
+    """And beside points; where there is nothing to see by, it is what low-dimensional learners learn from."""
+    h5py, zarr = pytest.importorskip("h5py"), pytest.importorskip("zarr")
+    seen = ObservationFolder(recorded.path / "observations")
+
+    def names(name: str, **options: Any) -> set[str]:
+        folder = tmp_path / f"{name}{len(list(tmp_path.iterdir()))}"
+        exporter(name)(folder, CAN, islice(read_frames(recorded, fps=FPS, failures=True, **options), 1))
+        if name == "robomimic":
+            with h5py.File(folder / "demos.hdf5") as file:
+                return set(file["data/demo_0/obs"])
+        if name == "dp3-zarr":
+            return set(zarr.open_group(str(folder / "demos.zarr"), mode="r")["data"])
+        return set(json.loads((folder / "meta/info.json").read_text())["features"])
+
+    for name in ("robomimic", "dp3-zarr", "lerobot"):
+        hidden, asked = names(name, observations=seen), names(name, observations=seen, privileged=True)
+        told = asked - hidden
+        assert told
+        assert all("privileged" in key for key in told), told
+    low = names("robomimic")
+    assert {"ee_position", "can_position", "privileged_can_position"} <= low
+    assert "observation.environment_state" in names("lerobot")
 
 
 def test_dp3_zarr(episodes: list[Frames], tmp_path: Path) -> None:
@@ -71,6 +146,12 @@ def test_dp3_zarr(episodes: list[Frames], tmp_path: Path) -> None:
     np.testing.assert_array_equal(root["data/state"][: ends[0]], episodes[0].state)
     np.testing.assert_array_equal(root["data/action"][ends[1] :], episodes[2].actions)
     assert root["data/point_cloud"].dtype == np.float32
+    np.testing.assert_array_equal(root["data/img"][: ends[0]], episodes[0].images["front"])
+    np.testing.assert_allclose(root["data/depth"][: ends[0]], episodes[0].depths["front"] * 1e-4, atol=1e-7)
+    np.testing.assert_array_equal(root["data/phase"][: ends[0]], episodes[0].phase)
+    np.testing.assert_array_equal(root["data/contact"][ends[1] :], episodes[2].contact)
+    assert root["data/action"].attrs["names"] == list(episodes[0].action_names)
+    assert root.attrs["instruction"] == CAN.instruction
 
 
 def test_dp3_zarr_says_that_points_are_needed(episodes: list[Frames], tmp_path: Path) -> None:
@@ -94,6 +175,19 @@ def test_minari(episodes: list[Frames], tmp_path: Path, monkeypatch: pytest.Monk
         np.testing.assert_allclose(episode.observations[-1][:15], rows[-1][:15], atol=0.2)
         np.testing.assert_array_equal(episode.actions, frames.actions)
         assert episode.terminations.tolist() == [False] * (len(frames) - 1) + [True]
+        np.testing.assert_array_equal(episode.infos["phase"][:-1], frames.phase)
+        np.testing.assert_array_equal(episode.infos["dq"][:-1], frames.robot["dq"])
+        assert {len(column) for column in episode.infos.values()} == {len(frames) + 1}
+    metadata = dataset.storage.metadata
+    assert len(metadata["observation_names"]) == dataset.observation_space.shape[0]
+    assert metadata["instruction"] == CAN.instruction
+    for kind, frames in (("ee", episodes), ("joint", [replace(episodes[0], action_mode="joint")])):
+        if kind == "joint":
+            monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / kind))
+            exporter("minari")(tmp_path / kind, CAN, frames)
+        env = minari.load_dataset("dynaforge/can/demonstrations-v0").recover_environment()
+        assert (env.spec.id, env.unwrapped.action_mode) == ("DynaForge/CanTask-v0", kind)
+        env.close()
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +213,7 @@ def test_lerobot_tables(episodes: list[Frames], lerobot: Path) -> None:
     np.testing.assert_array_equal(np.stack(second["action"]), episodes[1].actions)
     np.testing.assert_allclose(second["timestamp"], np.arange(len(second)) / FPS, atol=1e-5)
     for name, about in info["features"].items():
-        if about["dtype"] != "video":
+        if about["dtype"] not in ("video", "image"):
             assert np.size(table[name].iloc[0]) == about["shape"][0], name
     tasks = pandas.read_parquet(lerobot / "meta/tasks.parquet")
     assert tasks.index.name == "task"
@@ -151,6 +245,22 @@ def test_lerobot_films_and_statistics(episodes: list[Frames], lerobot: Path) -> 
     np.testing.assert_allclose(stats["action"]["q50"], np.percentile(actions, 50, axis=0), atol=1e-9)
     assert np.shape(stats[key]["mean"]) == (3, 1, 1)
     assert 0.0 <= np.min(stats[key]["min"]) <= np.max(stats[key]["max"]) <= 1.0
+
+
+def test_lerobot_pads_odd_pictures_and_keeps_every_pixel_of_them(episodes: list[Frames], tmp_path: Path) -> None:
+    """H.264 knows even sizes only."""
+    av = pytest.importorskip("av")
+    film = episodes[0].images["front"][:, :23, :31]
+    odd = replace(episodes[0], images={"front": film}, depths={"front": episodes[0].depths["front"][:, :23, :31]})
+    exporter("lerobot")(tmp_path, CAN, [odd])
+    features = json.loads((tmp_path / "meta/info.json").read_text())["features"]
+    assert features["observation.images.front"]["shape"] == [24, 32, 3]
+    assert features["observation.images.front_depth"]["shape"] == [24, 32, 1]
+    (path,) = tmp_path.rglob("*.mp4")
+    with av.open(str(path)) as stored:
+        pictures = np.stack([frame.to_ndarray(format="rgb24") for frame in stored.decode(video=0)])
+    assert pictures.shape[1:3] == (24, 32)
+    assert np.abs(pictures[:, :23, :31].astype(float) - film).mean() < 6.0
 
 
 @pytest.mark.parametrize("name", FORMATS)
