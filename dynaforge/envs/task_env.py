@@ -8,19 +8,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.base import WorldEnv, check_choice
-from dynaforge.envs.world import LOWEST_EE
-from dynaforge.geometry import Array, Pose, matrix_from_rotvec
+from dynaforge.envs.base import WorldEnv
+from dynaforge.geometry import Array
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
-from dynaforge.tasks.targets import DOWN_ALONG_X
+from dynaforge.tasks.action import ActionLayout
 from dynaforge.tasks.view import PhaseView, heading_frames
 
 Observation = NDArray[np.float64]
-
-ACTION_MODES = ("ee", "joint")
-WORKSPACE_LOW = (0.0, -0.8, LOWEST_EE)
-WORKSPACE_HIGH = (0.8, 0.8, 0.9)
 
 
 class TaskEnv(WorldEnv):
@@ -29,26 +24,36 @@ class TaskEnv(WorldEnv):
     One step is one control step. The reward is 1 when the task's success held long enough and 0 otherwise; an
     episode also ends when success has become impossible or time is up. Every info holds "is_success".
 
+    An action is a target for the end of the control step; it is reached exactly wherever the limits allow. The rows of
+    an export are such actions (`demos.exporters`).
+
     Args:
         task: Task name or a Task.
-        action_mode: "ee": target position (m, base frame), rotation vector from the straight-down hand (rad), gripper
-            width (m), shape (7,). "joint": seven joint targets (rad) and gripper width (m), shape (8,).
+        action_mode: "ee": target position (m, base frame), rotation and gripper width (m). "joint": seven joint
+            targets (rad) and gripper width (m), shape (8,).
+        rotation: Of mode "ee": "rotvec" from the straight-down hand (rad), "quat_wxyz" or "rotation_6d".
+        elbow: Mode "ee" with the third joint's angle (rad) behind the width: it settles the arm's seventh freedom.
         render_mode: None, "rgb_array" or "human".
 
     Raises:
-        ValueError: Unknown task, action mode or render mode.
+        ValueError: Unknown task, action mode, rotation or render mode.
     """
 
-    def __init__(self, task: str | Task = "can", *, action_mode: str = "ee", render_mode: str | None = None) -> None:
-        check_choice("action_mode", action_mode, ACTION_MODES)
+    def __init__(
+        self,
+        task: str | Task = "can",
+        *,
+        action_mode: str = "ee",
+        rotation: str = "rotvec",
+        elbow: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        self.action_layout = ActionLayout(action_mode, rotation, elbow)
         super().__init__(task, render_mode)
         self.action_mode = action_mode
         robot = self.world.scene.robot
-        if action_mode == "ee":
-            low, high = (*WORKSPACE_LOW, *[-np.pi] * 3, 0.0), (*WORKSPACE_HIGH, *[np.pi] * 3, robot.width_max)
-        else:
-            low, high = (*robot.q_lower, 0.0), (*robot.q_upper, robot.width_max)
-        self.action_space = gym.spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+        low, high = self.action_layout.bounds(robot.q_lower, robot.q_upper, robot.width_max)
+        self.action_space = gym.spaces.Box(low, high, dtype=np.float32)
         self.layout = (
             ("q", 7),
             ("dq", 7),
@@ -79,19 +84,15 @@ class TaskEnv(WorldEnv):
         return self._observation(), {"condition_id": self._condition.id}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move toward the commanded target for one control step.
+        """Move to the commanded target, or as near to it as the limits allow in one control step.
 
         Raises:
-            ValueError: Wrong shape, NaN or infinity.
+            ValueError: Wrong shape, NaN or infinity, or numbers that mean no rotation.
             RuntimeError: Called before `reset`.
         """
         values = self._checked(action)
         values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
-        if self.action_mode == "ee":
-            rotation = matrix_from_rotvec(values[3:6]) @ DOWN_ALONG_X
-            self._state = self.world.track(Pose(rotation, values[:3]), float(values[6]))
-        else:
-            self._state = self.world.track_joints(values[:7], float(values[7]))
+        self._state = self._move(values)
         self._frames = heading_frames(self._state, self._frames)
         success, failure = self._judge()
         info: dict[str, Any] = {"is_success": success}
@@ -99,6 +100,13 @@ class TaskEnv(WorldEnv):
             assert self._condition is not None
             info |= {"failure": failure, "condition_id": self._condition.id, "difficulty": self._condition.difficulty}
         return self._observation(), float(success), bool(success or failure), False, info
+
+    def _move(self, action: Array) -> SceneState:
+        width = self.action_layout.width(action)
+        if self.action_mode == "joint":
+            return self.world.reach_joints(action[:7], width)
+        elbow = float(action[-1]) if self.action_layout.elbow else None
+        return self.world.reach(self.action_layout.pose(action), width, elbow=elbow)
 
     def _judge(self) -> tuple[bool, str]:
         """Tell whether the task's success has held long enough, and the reason of a failure."""

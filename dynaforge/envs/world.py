@@ -9,7 +9,14 @@ import numpy as np
 
 from dynaforge.envs.executor import PlannedAction
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec
-from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, JointReference, LocalPlanner
+from dynaforge.planning import (
+    ArmKinematics,
+    CollisionModel,
+    GlobalPlanner,
+    JointReference,
+    LocalPlanner,
+    TargetFollower,
+)
 from dynaforge.sim import Condition, SceneState, SimScene
 from dynaforge.tasks import Task
 
@@ -52,6 +59,7 @@ class World:
         robot, dt = self.scene.robot, task.scene.control_dt
         self.kinematics = ArmKinematics(robot)
         self.local = LocalPlanner(robot, self.kinematics, dt=dt)
+        self.follower = TargetFollower(robot, self.kinematics, dt=dt)
         self.planner = GlobalPlanner(robot, self.kinematics, CollisionModel(robot), dt=dt)
         self.listeners: list[Callable[[ControlStep], None]] = []
         self._no_residual = np.zeros(7)
@@ -61,6 +69,7 @@ class World:
         self.state = self.scene.reset(self.task.conditions.validate(condition))
         robot = self.scene.robot
         self.reference = self.local.reset(robot.q_ready, robot.width_max)
+        self.follower.reset(robot.q_ready, robot.width_max)
         return self.state
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
@@ -78,20 +87,20 @@ class World:
         target, width = planned.target, planned.width
         if residual is not None:
             target, width = corrected(target, width, residual)
-        return self.track(target, width, planned=planned, residual=residual)
+        reference = self.local.track(*self._inside(target, width))
+        return self._step(reference, target, width, planned, self._no_residual if residual is None else residual)
 
-    def track(
-        self, target: Pose, width: float, *, planned: PlannedAction | None = None, residual: Array | None = None
-    ) -> SceneState:
-        """Move toward an end-effector target `T_world_ee` and an opening (m) for one control step."""
-        return self._step(
-            self.local.track(*self._inside(target, width)), target, width, planned,
-            self._no_residual if residual is None else residual,
-        )  # fmt: skip
+    def reach(self, target: Pose, width: float, *, elbow: float | None = None) -> SceneState:
+        """Bring the end effector to an absolute target `T_world_ee` and opening (m) in one control step.
 
-    def track_joints(self, q: Array, width: float) -> SceneState:
-        """Move toward joint targets (rad, shape (7,)) and an opening (m) for one control step."""
-        reference = self.local.to_joints(q, width)
+        It gets there wherever the limits allow, and else as near as they do; `elbow` is the third joint's angle, rad.
+        """
+        reference = self.follower.reach(target, width, elbow=elbow)
+        return self._step(reference, target, width, None, self._no_residual)
+
+    def reach_joints(self, q: Array, width: float) -> SceneState:
+        """Bring the joints to absolute targets (rad, shape (7,)) and the opening (m) in one control step, likewise."""
+        reference = self.follower.reach_joints(q, width)
         return self._step(reference, self.kinematics.forward(q), width, None, self._no_residual)
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from dynaforge.planning.collision import TABLE, CollisionModel, Obstacle
 from dynaforge.planning.global_planner import GlobalPlanner, PlanFailure
 from dynaforge.planning.kinematics import ArmKinematics, IkResult
 from dynaforge.planning.local_planner import JointReference, LocalPlanner
+from dynaforge.planning.target_follower import TargetFollower
 
 __all__ = [
     "TABLE",
@@ -15,4 +16,5 @@ __all__ = [
     "LocalPlanner",
     "Obstacle",
     "PlanFailure",
+    "TargetFollower",
 ]

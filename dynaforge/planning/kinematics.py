@@ -14,7 +14,7 @@ import pinocchio as pin
 from scipy.linalg.lapack import dposv  # type: ignore[import-untyped, unused-ignore]
 
 from dynaforge.geometry import Array, Pose
-from dynaforge.sim.robot import RobotDescription
+from dynaforge.sim.robot import ELBOW, RobotDescription
 
 POSITION_TOLERANCE = 1e-4  # metres
 ROTATION_TOLERANCE = 1e-3  # radians
@@ -85,7 +85,15 @@ class ArmKinematics:
         )
         return jacobian
 
-    def solve(self, target: Pose, q_seed: Array, *, max_iterations: int = 3) -> IkResult:
+    def solve(
+        self,
+        target: Pose,
+        q_seed: Array,
+        *,
+        max_iterations: int = 3,
+        position_tolerance: float = POSITION_TOLERANCE,
+        rotation_tolerance: float = ROTATION_TOLERANCE,
+    ) -> IkResult:
         """Bring the end effector to a target by warm-started damped least squares.
 
         Each step solves (J J^T + lambda I) y = e for the twist e to the target in the end-effector frame and moves
@@ -97,6 +105,7 @@ class ArmKinematics:
             target: Wanted `T_world_ee`.
             q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
             max_iterations: Steps taken at most.
+            position_tolerance, rotation_tolerance: Metres and radians at which the solver has converged.
 
         Raises:
             ValueError: Target or seed is not finite.
@@ -105,15 +114,10 @@ class ArmKinematics:
         q = np.minimum(np.maximum(q_seed, lower), upper)
         goal = pin.SE3(target.rotation, target.position)
         twist, position_error, rotation_error = self._error(q, goal)
-        entries = float(np.vdot(target.rotation, _ONES))  # the error alone lets a lone NaN in the rotation through
-        if not math.isfinite(position_error + rotation_error + entries):
-            raise ValueError(
-                f"Target position {target.position.tolist()}, rotation {target.rotation.tolist()} and seed "
-                f"{q_seed.tolist()} must be finite."
-            )
+        _require_finite(target, q_seed, position_error + rotation_error)
         best = (q, position_error, rotation_error)
         for iteration in range(max_iterations):
-            if position_error <= POSITION_TOLERANCE and rotation_error <= ROTATION_TOLERANCE:
+            if position_error <= position_tolerance and rotation_error <= rotation_tolerance:
                 break
             q = q + self._step(q, twist, position_error + rotation_error, pull=iteration == 0)
             np.minimum(np.maximum(q, lower, out=q), upper, out=q)
@@ -121,8 +125,44 @@ class ArmKinematics:
             if position_error + rotation_error < best[1] + best[2]:
                 best = (q, position_error, rotation_error)
         q, position_error, rotation_error = best
-        converged = position_error <= POSITION_TOLERANCE and rotation_error <= ROTATION_TOLERANCE
+        converged = position_error <= position_tolerance and rotation_error <= rotation_tolerance
         return IkResult(q, position_error, rotation_error, converged)
+
+    def solve_at_elbow(
+        self, target: Pose, elbow: float, q_seed: Array, *, max_iterations: int, tolerance: float = 1e-6
+    ) -> Array:
+        """Bring the end effector to a target, and the third joint to the angle that settles the seventh freedom.
+
+        The pose comes first: the elbow is turned in the null space, as far as the limits let it.
+
+        Args:
+            target: Wanted `T_world_ee`.
+            elbow: Wanted angle of the third joint, radians.
+            q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
+            max_iterations: Steps taken at most.
+            tolerance: Metres and radians at which all has arrived.
+
+        Returns:
+            Joint positions inside the limits, radians, shape (7,): of those met that reach the pose, the one nearest
+            to the elbow; of others, the one nearest to the pose.
+
+        Raises:
+            ValueError: Target or seed is not finite.
+        """
+        lower, upper = self.robot.q_lower, self.robot.q_upper
+        goal = pin.SE3(target.rotation, target.position)
+        q, best, least = np.clip(q_seed, lower, upper), q_seed, (math.inf, math.inf)
+        for _ in range(max_iterations + 1):
+            twist, *errors = self._error(q, goal)
+            _require_finite(target, q_seed, sum(errors))
+            rank = (0.0 if max(errors) <= tolerance else sum(errors), abs(elbow - float(q[ELBOW])))
+            if rank < least:
+                best, least = q, rank
+            if max(rank) <= tolerance:
+                break
+            step = self._step(q, twist, sum(errors), pull=False)
+            q = np.clip(q + step + self._elbow_step(q, elbow - q[ELBOW] - step[ELBOW]), lower, upper)
+        return best
 
     def solve_cold(
         self,
@@ -191,6 +231,23 @@ class ArmKinematics:
         drift = READY_PULL * (self.robot.q_ready - q)
         pulled: Array = dposv(self._gram.T, twist - jacobian @ drift)[1] @ jacobian + drift
         return pulled
+
+    def _elbow_step(self, q: Array, change: float) -> Array:
+        """Return the step that turns the elbow and leaves the hand where it is, shape (7,)."""
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._frame)
+        null = np.linalg.svd(jacobian)[2][-1]
+        turn = float(null[ELBOW])
+        step: Array = min(max(change * turn / (turn * turn + MIN_DAMPING), -MAX_ERROR_STEP), MAX_ERROR_STEP) * null
+        return step
+
+
+def _require_finite(target: Pose, q_seed: Array, error: float) -> None:
+    entries = float(np.vdot(target.rotation, _ONES))  # the error alone lets a lone NaN in the rotation through
+    if not math.isfinite(error + entries):
+        raise ValueError(
+            f"Target position {target.position.tolist()}, rotation {target.rotation.tolist()} and seed "
+            f"{q_seed.tolist()} must be finite."
+        )
 
 
 def _rank(result: IkResult) -> tuple[bool, float]:

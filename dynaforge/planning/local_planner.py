@@ -49,7 +49,6 @@ class LocalPlanner:
 
     def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
         self.robot, self.kinematics, self.dt = robot, kinematics, dt
-        self._width_step = 2.0 * robot.finger_speed_max * dt
         self._solver = ruckig.Ruckig(7, dt)
         self._output = ruckig.OutputParameter(7)
         self._input = ruckig.InputParameter(7)
@@ -76,8 +75,8 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        _require_finite("q", q)
-        _require_finite("width", float(width))
+        require_finite("q", q)
+        require_finite("width", float(width))
         self._load(q, np.zeros(7), np.zeros(7))
         self._reference = JointReference(q.copy(), np.zeros(7), np.zeros(7), float(width), 0.0)
         return self._reference
@@ -100,7 +99,7 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        _require_finite("q_target", q_target)
+        require_finite("q_target", q_target)
         return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
 
     def follow(self, q: Array, dq: Array, ddq: Array, width: float) -> JointReference:
@@ -113,16 +112,16 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        _require_finite("q", q)
-        _require_finite("dq", dq)
-        _require_finite("ddq", ddq)
-        width, width_speed = self._ramp(width)
+        require_finite("q", q)
+        require_finite("dq", dq)
+        require_finite("ddq", ddq)
+        width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
         self._load(q, dq, ddq)
         self._reference = JointReference(q, dq, ddq, width, width_speed)
         return self._reference
 
     def _advance(self, q_goal: Array, width: float) -> JointReference:
-        width, width_speed = self._ramp(width)
+        width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
         if self._has_arrived(q_goal):
             q, dq, ddq = q_goal, np.zeros(7), np.zeros(7)
             self._load(q, dq, ddq)
@@ -150,14 +149,6 @@ class LocalPlanner:
         output.pass_to_input(self._input)
         return np.array((output.new_position, output.new_velocity, output.new_acceleration))
 
-    def _ramp(self, width: float) -> tuple[float, float]:
-        """Return the opening one step nearer to the wanted one, and the rate of the step."""
-        _require_finite("width", float(width))
-        before = self._reference.width
-        wanted = min(max(float(width), 0.0), self.robot.width_max)
-        after = min(max(wanted, before - self._width_step), before + self._width_step)
-        return after, (after - before) / self.dt
-
     def _load(self, q: Array, dq: Array, ddq: Array) -> None:
         """Hand Ruckig a state; forget its running trajectory, so that nothing depends on what came before."""
         self._solver.reset()
@@ -165,7 +156,21 @@ class LocalPlanner:
         self._input.current_acceleration = ddq.tolist()
 
 
-def _require_finite(name: str, value: Array | float) -> None:
+def ramp_width(before: float, wanted: float, robot: RobotDescription, dt: float) -> tuple[float, float]:
+    """Return the opening one control step nearer to the wanted one (m), and its rate over the step (m/s).
+
+    Raises:
+        ValueError: The wanted opening is not finite.
+    """
+    require_finite("width", float(wanted))
+    step = 2.0 * robot.finger_speed_max * dt
+    wanted = min(max(float(wanted), 0.0), robot.width_max)
+    after = min(max(wanted, before - step), before + step)
+    return after, (after - before) / dt
+
+
+def require_finite(name: str, value: Array | float) -> None:
+    """Raise ValueError unless all numbers are finite."""
     # The sum of a few numbers is finite if they all are; methods and plain floats take a fifth of np.isfinite's time.
     if not math.isfinite(value if isinstance(value, float) else value.sum()):
         raise ValueError(f"{name} is {np.asarray(value).tolist()}; it must be finite.")

@@ -10,6 +10,8 @@ import numpy as np
 from dynaforge.geometry import Array
 
 HAND_WIDTH = 0.08  # metres that the hand opens
+ELBOW = 2
+"""Index of the joint whose angle tells the elbow apart, as in Franka's own Cartesian interface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

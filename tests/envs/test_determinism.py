@@ -81,7 +81,7 @@ def after_leaning_on_the_table(env: Traced) -> None:
     world = env.unwrapped.world
     press = world.scene.robot.q_ready + np.array((0.2, 0.6, 0.0, -0.2, 0.0, 0.0, 0.0))
     for _ in range(40):
-        world.track_joints(press, 0.0)
+        world.reach_joints(press, 0.0)
 
 
 HISTORIES = [

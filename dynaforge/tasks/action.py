@@ -1,0 +1,149 @@
+"""What an absolute action is, once for recordings, exports, packs and `TaskEnv`.
+
+An action is where the controller is asked to be at the end of the control step: the joint positions of its reference,
+or the hand's pose there, and the gripper's width. Whatever the limits allow is reached within the step, exactly, so
+that the actions of a recording do in `TaskEnv` what they did in the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynaforge.geometry import (
+    Array,
+    Pose,
+    matrix_from_quat,
+    matrix_from_rotation_6d,
+    matrix_from_rotvec,
+    rotation_6d_from_matrix,
+    rotvec_from_matrix,
+)
+from dynaforge.sim.robot import ELBOW
+from dynaforge.tasks.targets import DOWN_ALONG_X
+
+ACTION_MODES = ("ee", "joint")
+ROTATIONS: Mapping[str, tuple[str, ...]] = {
+    "quat_wxyz": ("qw", "qx", "qy", "qz"),
+    "rotvec": ("rx", "ry", "rz"),
+    "rotation_6d": ("r1x", "r1y", "r1z", "r2x", "r2y", "r2z"),
+}
+JOINTS = tuple(f"joint_{k}" for k in range(1, 8))
+WORKSPACE = ((-0.3, -0.9, -0.02), (0.9, 0.9, 1.1))  # metres: the lowest and the highest position
+
+
+@dataclass(frozen=True, slots=True)
+class ActionLayout:
+    """Which numbers an action consists of, in this order.
+
+    mode "ee": position (m, base frame), rotation, gripper width (m), and with `elbow` the angle of the third joint
+    (rad). mode "joint": seven joint positions (rad) and gripper width (m).
+
+    Attributes:
+        mode: "ee" or "joint".
+        rotation: "quat_wxyz": of any length but zero. "rotvec": rotation vector from the straight-down hand, radians,
+            which jumps near a half turn. "rotation_6d": two columns of the rotation matrix, which never jump.
+        elbow: A pose leaves one of the arm's seven joints open. With the elbow's angle, as in Franka's own Cartesian
+            interface, a recorded motion is met exactly; without, the arm stays as near as it can to where it is.
+
+    Raises:
+        ValueError: Unknown mode or rotation, or an elbow beside joint positions.
+    """
+
+    mode: str = "ee"
+    rotation: str = "quat_wxyz"
+    elbow: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("action_mode", self.mode, ACTION_MODES),
+            ("rotation", self.rotation, tuple(ROTATIONS)),
+        ):
+            if value not in known:
+                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
+        if self.elbow and self.mode == "joint":
+            raise ValueError("Joint positions settle the elbow: elbow=True goes with action_mode 'ee' only.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the components."""
+        if self.mode == "joint":
+            return (*JOINTS, "width")
+        return ("x", "y", "z", *ROTATIONS[self.rotation], "width", *(("elbow",) if self.elbow else ()))
+
+    def bounds(self, q_lower: Array, q_upper: Array, width_max: float) -> tuple[Array, Array]:
+        """Return the least and the greatest value of every component, float32, shape (d,)."""
+        if self.mode == "joint":
+            low, high = [*q_lower, 0.0], [*q_upper, width_max]
+        else:
+            n = len(ROTATIONS[self.rotation])
+            turn = np.pi if self.rotation == "rotvec" else 1.0
+            low, high = [*WORKSPACE[0], *[-turn] * n, 0.0], [*WORKSPACE[1], *[turn] * n, width_max]
+            if self.elbow:
+                low, high = [*low, q_lower[ELBOW]], [*high, q_upper[ELBOW]]
+        # Rounded away from zero: joint positions at a limit are still inside as float32.
+        return _outward(low, -np.inf), _outward(high, np.inf)
+
+    def pose(self, action: Array) -> Pose:
+        """Return the wanted `T_world_ee` of an "ee" action.
+
+        Raises:
+            ValueError: Its numbers mean no rotation.
+        """
+        numbers = action[3 : 3 + len(ROTATIONS[self.rotation])]
+        if self.rotation == "rotvec":
+            return Pose(matrix_from_rotvec(numbers) @ DOWN_ALONG_X, action[:3])
+        if self.rotation == "rotation_6d":
+            return Pose(matrix_from_rotation_6d(numbers), action[:3])
+        if not np.abs(numbers).max() > 1e-6:
+            raise ValueError(f"A quaternion needs a length to mean a rotation; given {numbers.tolist()}.")
+        return Pose(matrix_from_quat(numbers), action[:3])
+
+    def width(self, action: Array) -> float:
+        """Return the wanted gripper width, metres."""
+        return float(action[-2] if self.elbow else action[-1])
+
+    def of_steps(self, steps: Mapping[str, Any]) -> Array:
+        """Return the actions of a recording, shape (T, d).
+
+        Args:
+            steps: Recorded columns by name (`demos.schema`): `joint_reference`, `width_reference`, `projected_action`
+                and `ee_quat_wxyz`.
+        """
+        if self.mode == "joint":
+            return np.column_stack((steps["joint_reference"], steps["width_reference"]))
+        pose = np.asarray(steps["projected_action"], dtype=np.float64)
+        quats = pose[:, 3:7]
+        measured = without_jumps(np.asarray(steps["ee_quat_wxyz"], dtype=np.float64))
+        quats = np.where((quats * measured).sum(axis=1, keepdims=True) < 0.0, -quats, quats)  # as the state has them
+        parts = [pose[:, :3], self._rotations(quats), pose[:, 7]]
+        if self.elbow:
+            parts.append(steps["joint_reference"][:, ELBOW])
+        return np.column_stack(parts)
+
+    def _rotations(self, quats: Array) -> Array:
+        if self.rotation == "quat_wxyz":
+            return quats
+        matrices = [matrix_from_quat(quat) for quat in quats]
+        if self.rotation == "rotation_6d":
+            return np.array([rotation_6d_from_matrix(matrix) for matrix in matrices])
+        return np.array([rotvec_from_matrix(matrix @ DOWN_ALONG_X.T) for matrix in matrices])
+
+
+def without_jumps(quats: Array) -> Array:
+    """Choose the sign of each quaternion but the first so that none jumps to its negative, shape (T, 4).
+
+    A hand that points down has w = 0, where a sign fixed by w >= 0 would flip from step to step.
+    """
+    turned = np.concatenate(([False], (quats[1:] * quats[:-1]).sum(axis=1) < 0.0))
+    return np.asarray(quats * np.where(np.logical_xor.accumulate(turned), -1.0, 1.0)[:, None])
+
+
+def _outward(values: Any, direction: float) -> Array:
+    exact = np.asarray(values, dtype=np.float64)
+    rounded = exact.astype(np.float32)
+    beyond = (rounded > exact) if direction < 0 else (rounded < exact)
+    return np.where(beyond, np.nextafter(rounded, np.float32(direction)), rounded).astype(np.float32)
