@@ -90,8 +90,8 @@ def evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=Whole(), default=3, help="blocks of conditions")
     parser.add_argument("--attempts", type=Whole(), default=100, help="conditions a block")
     parser.add_argument("--strata", action="store_true", help="spread each block evenly over 8 difficulty bins")
-    parser.add_argument("--oracle-tries", type=Whole(), default=64, help="constant residuals a condition")
-    parser.add_argument("--sigma", type=Number(0.0), default=0.25, help="exploration of the generator exploring")
+    parser.add_argument("--oracle-tries", type=Whole(), help="constant residuals a condition, for oracle (default 64)")
+    parser.add_argument("--sigma", type=Number(0.0, 100.0), help="noise, for the generator exploring (default 0.25)")
     _add_workers(parser)
     parser.add_argument(
         "--out", type=Written("file"),
@@ -104,6 +104,11 @@ def collect(parser: argparse.ArgumentParser) -> None:
     add_task_argument(parser, "--task")
     parser.add_argument("--demos", type=Whole(), help="stop after so many successes (default 50, without --attempts)")
     parser.add_argument("--attempts", type=Whole(), help="stop after so many attempts, successful or not")
+    parser.add_argument(
+        "--give-up-after", type=Whole(0), metavar="N",
+        help="end, with the reasons, after N attempts in a row without a success; 0: never (default, with --demos: "
+        "20 for each demonstration, at least 50)",
+    )  # fmt: skip
     parser.add_argument(
         "--generator",
         **one_of("generator", COLLECTING),
@@ -129,11 +134,18 @@ def collect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Written("folder"), help="new, or of an earlier run; by default data/TASK")
 
 
-def check_policy(options: argparse.Namespace) -> None:
-    """Refuse a policy that no generator would use."""
+def check_generators(options: argparse.Namespace) -> None:
+    """Refuse what no generator would use."""
     given = [options.generator] if isinstance(options.generator, str) else options.generator
-    if options.policy is not None and not {"residual", "exploring"} & set(given):
-        raise ValueError(f"--policy {options.policy} is for the generator residual; --generator is {' '.join(given)}.")
+    for name, users in (
+        ("policy", ("residual", "exploring")),
+        ("oracle_tries", ("oracle",)),
+        ("sigma", ("exploring",)),
+    ):
+        value = getattr(options, name, None)
+        if value is not None and not set(users) & set(given):
+            flag = f"--{name.replace('_', '-')} {value}"
+            raise ValueError(f"{flag} is for the generator {' or '.join(users)}; --generator is {' '.join(given)}.")
 
 
 def on_dataset(parser: argparse.ArgumentParser) -> None:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from pathlib import Path
 
-from tqdm import tqdm
-
 from dynaforge.cli.evaluate import make_generator
+from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
-from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.generators import Goal, Source, collect, run_attempts
-from dynaforge.generators.ray_engine import run_attempts_on_ray
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.generators import GaveUp, Goal, Source, collect, run_attempts
+from dynaforge.generators.collect import Engine
+from dynaforge.generators.giving_up import describe_counts
+from dynaforge.generators.ray_engine import connected, run_attempts_on_ray
 
 
 def run(options: argparse.Namespace) -> int:
-    """Collect what is missing."""
+    """Collect what is missing; returns 1 when that is not all that was asked for."""
     goal = _goal(options)
     task = chosen_task(options)
     generator = make_generator(options.generator, task, options)
+    engine = _engine(options)
     out = options.out or Path("data") / task.name
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
     if policy := getattr(generator, "policy_hash", ""):
@@ -27,28 +30,37 @@ def run(options: argparse.Namespace) -> int:
     started, found = time.monotonic(), len(dataset.attempts())
     if found:
         print(f"{out} holds {found} attempts; going on")
-    source = Source(options.seed, options.shard)
-    wins = attempts = 0
-    with tqdm(total=goal.demos or goal.attempts, unit="demo" if goal.demos else "attempt", smoothing=0.05) as bar:
-
-        def tell(attempt: Attempt) -> None:
-            nonlocal wins, attempts
-            wins, attempts = wins + attempt.success, attempts + 1
-            bar.set_postfix_str(f"DGR {wins / attempts:.0%} of {attempts}", refresh=False)
-            bar.update(int(attempt.success) if goal.demos else 1)
-
+    source, problem = Source(options.seed, options.shard), ""
+    with Tally(goal) as tally:
         try:
-            engine = run_attempts_on_ray if options.engine == "ray" else run_attempts
-            collect(dataset, task, generator, goal, source=source, workers=options.workers, engine=engine, tell=tell)
+            collect(
+                dataset, task, generator, goal, source=source, workers=options.workers, engine=engine, tell=tally.add
+            )
         except KeyboardInterrupt:
-            print(f"\nstopped with {wins} successes in {attempts} attempts; the same command goes on")
+            print(f"\nstopped with {tally}; the same command goes on")
             return 130
-    print(f"{wins} successes in {attempts} attempts, DGR {wins / max(attempts, 1):.1%}; {out}, "
-          f"{(time.monotonic() - started) / 60:.1f} minutes")  # fmt: skip
-    return 0
+        except GaveUp as error:
+            problem = f"{error}. Another --policy may win; --give-up-after N goes on for N of them, 0 without end"
+    minutes = (time.monotonic() - started) / 60
+    print(f"{tally}, DGR {tally.rate:.1%}; {out}, {minutes:.1f} minutes")
+    if not problem and goal.demos is not None and tally.wins < goal.demos:
+        problem = (
+            f"Only {tally.wins} of {goal.demos} demonstrations in {goal.attempts} attempts; "
+            f"{describe_counts(tally.reasons)}. With more --attempts the same command goes on"
+        )
+    if problem:
+        print(f"dynaforge collect: {problem}.", file=sys.stderr)
+    return 1 if problem else 0
+
+
+def _engine(options: argparse.Namespace) -> Engine:
+    if options.engine == "local":
+        return run_attempts
+    connected()  # said before a folder is made
+    return run_attempts_on_ray
 
 
 def _goal(options: argparse.Namespace) -> Goal:
     if options.demos is None and options.attempts is None:
-        return Goal(50, None)
-    return Goal(options.demos, options.attempts)
+        return Goal(50, None, options.give_up_after)
+    return Goal(options.demos, options.attempts, options.give_up_after)

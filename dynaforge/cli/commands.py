@@ -69,13 +69,13 @@ COMMANDS = {
         "demonstration generation rate of a generator on stored condition streams",
         ("evaluate --task can --generator planner_only residual", "evaluate --task all --stream test --attempts 200"),
         add=arguments.evaluate,
-        check=arguments.check_policy,
+        check=arguments.check_generators,
     ),
     "collect": Command(
         "demonstrations into a folder, on all cores; resumes",
         ("collect --task can --demos 100", "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4"),
         add=arguments.collect,
-        check=arguments.check_policy,
+        check=arguments.check_generators,
     ),
     "info": Command(
         "what a folder of demonstrations holds: rates, lengths, ranges, size",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -17,7 +18,16 @@ from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import Attempt, atomic_write
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
-from dynaforge.generators import Exploring, Generator, Oracle, PlannerOnly, ResidualGenerator, run_attempts
+from dynaforge.generators import (
+    Exploring,
+    Generator,
+    Oracle,
+    PlannerOnly,
+    ResidualGenerator,
+    Result,
+    run_attempts,
+)
+from dynaforge.generators.giving_up import unless_all_raise
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task
 
@@ -25,7 +35,11 @@ BINS = 8
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and store."""
+    """Measure, print and store.
+
+    Raises:
+        GaveUp: A generator only raises, so that there is nothing to measure.
+    """
     tasks = chosen_tasks(options)
     crews = [[make_generator(name, task, options) for name in options.generator] for task in tasks]
     out = options.out or Path("runs/evaluate") / f"{'+'.join(options.generator)}-{options.stream}.json"
@@ -63,14 +77,16 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
     if name == "planner_only":
         return PlannerOnly()
     if name == "oracle":
-        return Oracle(m=options.oracle_tries)
+        return Oracle(m=options.oracle_tries or 64)
     if name not in ("residual", "exploring"):
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
     policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task.name)
     if name == "exploring":
-        return ResidualGenerator(Exploring(policy, options.sigma), policy_hash=policy.digest, name=name)
+        return ResidualGenerator(
+            Exploring(policy, 0.25 if options.sigma is None else options.sigma), policy_hash=policy.digest, name=name
+        )
     return ResidualGenerator(policy, policy_hash=policy.digest)
 
 
@@ -84,15 +100,16 @@ def _shipped_policy(task: Task) -> Path:
 
 
 def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:
-    done: list[Attempt] = []
-    with tqdm(total=options.seeds * options.attempts, leave=False, unit="attempt", desc=generator.name) as bar:
-        for block in range(options.seeds):
-            stream = task.conditions.stream(options.stream, block, n_strata=BINS if options.strata else None)
-            conditions = islice(stream, options.attempts)
-            for result in run_attempts(task, generator, conditions, block=block, workers=options.workers):
-                done.append(result.attempt)
-                bar.update()
-    return done
+    results = unless_all_raise(_results(task, generator, options), generator=generator.name)
+    total = options.seeds * options.attempts
+    return [r.attempt for r in tqdm(results, total=total, leave=False, unit="attempt", desc=generator.name)]
+
+
+def _results(task: Task, generator: Generator, options: argparse.Namespace) -> Iterator[Result]:
+    for block in range(options.seeds):
+        stream = task.conditions.stream(options.stream, block, n_strata=BINS if options.strata else None)
+        conditions = islice(stream, options.attempts)
+        yield from run_attempts(task, generator, conditions, block=block, workers=options.workers)
 
 
 def _report(task: Task, name: str, attempts: list[Attempt]) -> DgrReport:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import time
 from collections.abc import Iterable
@@ -10,7 +11,6 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -18,6 +18,7 @@ from tqdm import tqdm
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import training
 from dynaforge.cli.film import film_clips
+from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.cli.versions import package_versions
@@ -29,7 +30,8 @@ from dynaforge.evaluation import (
     comparison_table,
     paired_difference,
 )
-from dynaforge.generators import Generator, Goal, PlannerOnly, ResidualGenerator, collect, run_attempts
+from dynaforge.generators import GaveUp, Generator, Goal, PlannerOnly, ResidualGenerator, collect, run_attempts
+from dynaforge.generators.giving_up import describe_counts, unless_all_raise
 from dynaforge.reports import (
     ReportData,
     ReportFigure,
@@ -99,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"policy  {out / 'policy.safetensors'}")
     print(f"report  {out / 'report.html'}")
     print(f"took {(time.monotonic() - started) / 60:.1f} minutes")
-    return 0
+    return 0 if len(dataset) >= options.demos else 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,9 +148,8 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
 
 
 def _check(options: argparse.Namespace) -> None:
-    for name, least in (("budget", 0.5), ("demos", 1), ("attempts", 1), ("workers", 1)):
-        if getattr(options, name) < least:
-            raise ValueError(f"--{name} is {getattr(options, name):g}; it must be at least {least}.")
+    if options.budget < 0.5:
+        raise ValueError(f"--budget is {options.budget:g}; it must be at least 0.5.")
 
 
 def _new_folder(asked: Path | None, task: str) -> Path:
@@ -161,7 +162,7 @@ def _new_folder(asked: Path | None, task: str) -> Path:
 
 def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:
     conditions = list(conditions)
-    results = run_attempts(task, generator, conditions, workers=workers)
+    results = unless_all_raise(run_attempts(task, generator, conditions, workers=workers), generator=generator.name)
     return [r.attempt for r in tqdm(results, total=len(conditions), leave=False, unit="attempt", desc=generator.name)]
 
 
@@ -173,18 +174,11 @@ def _report(task: Task, attempts: list[Attempt]) -> DgrReport:
 def _collect(task: Task, generator: Generator, folder: Path, options: argparse.Namespace) -> DemonstrationDataset:
     dataset = DemonstrationDataset(folder, task=task.name)
     goal = Goal(options.demos, 20 * options.demos)
-    with tqdm(total=options.demos, leave=False, unit="demo") as bar:
-        attempts = collect(
-            dataset, task, generator, goal, workers=options.workers, tell=lambda attempt: _advance(bar, attempt)
-        )
-    won = sum(attempt.success for attempt in attempts)
-    if won < options.demos:
-        print(f"      only {won} of {len(attempts)} attempts succeeded: train longer (--budget)")
+    with Tally(goal, leave=False) as tally, contextlib.suppress(GaveUp):
+        collect(dataset, task, generator, goal, workers=options.workers, tell=tally.add)
+    if tally.wins < options.demos:
+        print(f"      only {tally}: {describe_counts(tally.reasons)}. Train longer (--budget)")
     return dataset
-
-
-def _advance(bar: tqdm[Any], attempt: Attempt) -> None:
-    bar.update(int(attempt.success))
 
 
 def _write(

@@ -22,7 +22,8 @@ from dynaforge.cli.versions import PACKAGES, package_versions
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit status.
 
-    A user's mistake ends in one line on stderr and status 2, before any long work.
+    A user's mistake ends in one line on stderr and status 2, before any long work; what leads nowhere in one with the
+    reasons and status 1.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     # Read when numpy and torch are first imported, below. The cores belong to the workers: on networks as small as
@@ -48,9 +49,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
-        message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
-        print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)
-        return 2
+        return _tell(name, error, status=2)
+    except RuntimeError as error:
+        from dynaforge.generators import GaveUp  # imported already, if it is one
+
+        if not isinstance(error, GaveUp):
+            raise
+        return _tell(name, error, status=1)
 
 
 @contextlib.contextmanager
@@ -64,6 +69,13 @@ def _sigterm_as_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _tell(name: str, error: Exception, *, status: int) -> int:
+    """Say in one line on stderr what is wrong; returns the status."""
+    message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
+    print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)
+    return status
 
 
 def _remedy(error: Exception) -> str:

@@ -3,11 +3,13 @@
 from dynaforge.generators.attempts import Result, attempt_once, run_attempts
 from dynaforge.generators.collect import Goal, Source, collect
 from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
+from dynaforge.generators.giving_up import GaveUp
 from dynaforge.generators.oracle import Oracle
 
 __all__ = [
     "ConstantResidual",
     "Exploring",
+    "GaveUp",
     "Generator",
     "Goal",
     "Oracle",

@@ -55,7 +55,7 @@ def run_attempts_on_ray(
         ConnectionError: No cluster is running.
         RuntimeError: No actor comes up.
     """
-    ray = _connected()
+    ray = connected()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     crew = _Crew(ray, task, generator, count)
     source = iter(conditions)
@@ -211,7 +211,13 @@ class _Crew:
         return problem
 
 
-def _connected() -> Any:
+def connected() -> Any:
+    """Return the module ray, connected to a running cluster.
+
+    Raises:
+        ImportError: Ray, of the `[ray]` extra, is missing.
+        ConnectionError: No cluster is running.
+    """
     try:
         import ray
     except ImportError as error:

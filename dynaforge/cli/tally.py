@@ -1,0 +1,49 @@
+"""A bar that tells how collecting goes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from tqdm import tqdm
+
+from dynaforge.demos import Attempt
+from dynaforge.generators import Goal
+from dynaforge.generators.giving_up import describe_counts
+
+
+class Tally:
+    """Counts attempts and shows a bar: how many won, and what the others failed with most."""
+
+    def __init__(self, goal: Goal, *, leave: bool = True) -> None:
+        self.wins = self.attempts = 0
+        self.reasons: Counter[str] = Counter()
+        self._by_wins = goal.demos is not None
+        # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
+        self._bar: tqdm[Any] = tqdm(
+            total=goal.demos or goal.attempts, unit="demo" if self._by_wins else "attempt", leave=leave,
+            smoothing=0.05, miniters=0,
+        )  # fmt: skip
+
+    def __enter__(self) -> Tally:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def __str__(self) -> str:
+        return f"{self.wins} successes in {self.attempts} attempts"
+
+    @property
+    def rate(self) -> float:
+        """Successes over attempts."""
+        return self.wins / max(self.attempts, 1)
+
+    def add(self, attempt: Attempt) -> None:
+        """Count one."""
+        self.wins, self.attempts = self.wins + attempt.success, self.attempts + 1
+        if not attempt.success:
+            self.reasons[attempt.failure] += 1
+        failed = f"; failed: {describe_counts(self.reasons, n=2, longest=40)}" if self.reasons else ""
+        self._bar.set_postfix_str(f"DGR {self.rate:.0%} of {self.attempts}{failed}", refresh=False)
+        self._bar.update(int(attempt.success) if self._by_wins else 1)

@@ -1,0 +1,111 @@
+"""Collecting and measuring with a generator that gets nowhere: it ends, and says why."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+
+import pytest
+
+from dynaforge.cli import collect as command
+from dynaforge.cli.main import main
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode
+from dynaforge.generators import GaveUp, Goal, PlannerOnly, Result, Source, collect
+from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.sim import Condition
+from dynaforge.tasks import get_task
+
+CAN = get_task("can")
+
+
+def engine(wins: Callable[[int], bool], *, ahead: int = 4, raising: bool = False) -> Callable[..., Iterator[Result]]:
+    """Return an engine that simulates nothing: the k-th attempt of all its runs wins where `wins` says so."""
+    k = 0
+
+    def attempt(condition: Condition) -> Result:
+        nonlocal k
+        won, k = wins(k), k + 1
+        if raising:
+            return Result(Attempt(condition, "planner_only", False, 0, "exception: OSError: gone", "", 0.0), None)
+        reason = "" if won else ("dropped" if k % 3 else "slipped\naway")
+        episode = Episode(condition, "planner_only", won, 5 if won else 1, reason, "lift", 1.0, {})
+        return Result(Attempt.of(episode), episode)
+
+    def run(task: object, generator: object, conditions: Iterable[Condition], **_: object) -> Iterator[Result]:
+        source = iter(conditions)
+        running = list(islice(source, ahead))
+        while running:
+            yield attempt(running.pop(0))
+            running += islice(source, 1)
+
+    return run
+
+
+def gather(
+    folder: Path, goal: Goal, wins: Callable[[int], bool] = lambda k: False, **engine_options: int
+) -> list[Attempt]:
+    dataset = DemonstrationDataset(folder, task="can")
+    return collect(dataset, CAN, PlannerOnly(), goal, source=Source(), engine=engine(wins, **engine_options))
+
+
+def test_it_gives_up_with_the_commonest_reasons_and_keeps_what_was_attempted(tmp_path: Path) -> None:
+    with pytest.raises(
+        GaveUp, match=r"No success in 53 attempts in a row.*dropped \(36\), slipped away \(17\)"
+    ) as caught:
+        gather(tmp_path, Goal(1, None))
+    assert len(caught.value.attempts) == len(DemonstrationDataset(tmp_path).attempts()) == 53  # 3 were under way
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), len(again.attempts)) == (str(caught.value), 53)
+
+
+def test_what_an_earlier_run_found_counts_and_the_bound_may_be_moved(tmp_path: Path) -> None:
+    for goal, attempts in ((Goal(1, None), 53), (Goal(1, None), 53), (Goal(1, None, 60), 63), (Goal(3, None), 63)):
+        with pytest.raises(GaveUp):
+            gather(tmp_path, goal)
+        assert len(DemonstrationDataset(tmp_path).attempts()) == attempts
+    assert sum(attempt.success for attempt in gather(tmp_path, Goal(1, None, 0), lambda k: k == 100)) == 1
+
+
+def test_a_success_of_those_under_way_turns_back_from_giving_up(tmp_path: Path) -> None:
+    attempts = gather(tmp_path, Goal(2, None), lambda k: k in (70, 130), ahead=90)
+    assert [k for k, attempt in enumerate(attempts) if attempt.success] == [70, 130]
+
+
+@pytest.mark.parametrize(
+    ("goal", "failures", "hopeless"),
+    [
+        (Goal(1, None), 49, False), (Goal(1, None), 50, True), (Goal(10, None), 199, False),
+        (Goal(10, None), 200, True), (Goal(None, 10**6), 10**5, False), (Goal(None, 100, 7), 7, True),
+        (Goal(1, None, 0), 10**9, False),
+    ],
+)  # fmt: skip
+def test_hope_ends_after_twenty_failures_a_demonstration(goal: Goal, failures: int, hopeless: bool) -> None:
+    assert goal.hopeless(failures) is hopeless
+
+
+def test_the_command_ends_with_1_and_says_what_it_did_not_get(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "run_attempts", engine(lambda k: k == 0))
+    asked = ["collect", "--generator", "planner_only", "--out", str(tmp_path)]
+    assert main([*asked, "--demos", "1"]) == 0
+    assert main([*asked, "--demos", "5", "--attempts", "3"]) == 1
+    assert "Only 1 of 5 demonstrations in 3 attempts; dropped" in capsys.readouterr().err
+    assert main([*asked, "--demos", "5", "--give-up-after", "9"]) == 1
+    said = capsys.readouterr().err
+    assert "failed: dropped" in said, "the bar says it too"
+    assert "No success in 12 attempts in a row" in said.splitlines()[-1]
+    assert "--give-up-after N" in said.splitlines()[-1]
+    assert main([*asked, "--attempts", "14"]) == 0, "failures may be what is asked for"
+
+
+@pytest.mark.parametrize("n", [4, 500])
+def test_a_generator_that_only_raises_has_no_rate(n: int) -> None:
+    conditions = list(islice(Source().conditions(CAN), n))
+    raising = engine(lambda k: False, raising=True)(CAN, PlannerOnly(), conditions)
+    with pytest.raises(GaveUp, match=rf"None of {min(n, 50)} attempts .*exception: OSError: gone"):
+        list(unless_all_raise(raising, generator="mine"))
+    failing = engine(lambda k: False)(CAN, PlannerOnly(), conditions)
+    assert len(list(unless_all_raise(failing, generator="mine"))) == n, "0 % was measured"
