@@ -15,13 +15,15 @@ import runpy
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from dynaforge.registration import ENV_NAMES, env_id, task_named
+from dynaforge.cli import settings
+from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
+from dynaforge.registration import ENV_NAMES, env_id
+from dynaforge.tasks import what_was_meant
 
 ALGORITHMS = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
@@ -48,13 +50,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     flags = [flag for flag in flags if flag != "--trusted"]
     if not asked.help:
         _check_files(script, asked)
+        flags += _name_env(script, asked)
         _check_display(script, asked, flags)
     register_with_zoo()
+    config = None
     if not asked.help:
         _check_names(asked)
-        if script == "train" and asked.conf_file is None and (config := config_file(asked.algo, asked.env)) is not None:
-            flags += ["--conf-file", str(config)]
-    with _zoo_process(script, flags, own_vec_env=asked.env.startswith("DynaForge/") and asked.vec_env is None):
+        if script == "train":
+            _check_statistics(asked)
+            config = config_file(asked.algo, asked.env) if asked.conf_file is None else None
+    flags += ["--conf-file", str(config)] if config else []
+    own_vec_env = asked.env.startswith("DynaForge/") and asked.vec_env is None
+    with _zoo_process(script, flags, own_vec_env=own_vec_env, own_config=config is not None):
         _run(script)
     return 0
 
@@ -87,11 +94,10 @@ def config_file(algo: str, env_id: str) -> Path | None:
 
     Ours are taken when they list the env, or a default for all envs; rl_zoo3 has files of its own for PPO and the like.
     """
-    path = Path(str(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml")))
-    if not path.is_file():
+    path = settings.config_file(algo)
+    if path is None or settings.entry_of(yaml.safe_load(path.read_text(encoding="utf-8")), env_id) is None:
         return None
-    listed = yaml.safe_load(path.read_text(encoding="utf-8"))
-    return path if env_id in listed or "default" in listed else None
+    return path
 
 
 def sample_hyperparameters(trial: Any, n_actions: int, n_envs: int, additional_args: dict[str, Any]) -> dict[str, Any]:
@@ -150,10 +156,36 @@ def _check_files(script: str, asked: argparse.Namespace) -> None:
         )
 
 
+def _name_env(script: str, asked: argparse.Namespace) -> list[str]:
+    """Resolve the env that is asked for; returns the flags that tell rl_zoo3, which knows nothing but ids."""
+    try:
+        import_packages(asked.gym_packages)
+        env = named_env(asked.env)
+    except ValueError as error:
+        raise SystemExit(f"dynaforge {script}: {error}") from error
+    changed, asked.env = env != asked.env, env
+    return ["--env", env] if changed else []
+
+
+def _check_statistics(asked: argparse.Namespace) -> None:
+    """Refuse to unpickle unasked what rl_zoo3 takes for a run's statistics, in this folder if it goes on with none."""
+    name = asked.env.rpartition(":")[2].replace("/", "-")
+    statistics = Path(asked.trained_agent).parent / name / "vecnormalize.pkl"
+    if statistics.exists() and not asked.trusted:
+        raise SystemExit(
+            f"dynaforge train: rl_zoo3 loads {statistics}, which can run code stored in it; add --trusted if it is "
+            "your own, or start elsewhere"
+        )
+
+
 def _check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> None:
     """Refuse to play an episode in a window where there is none, before anything is loaded."""
-    ours = task_named(asked.env) is not None or asked.env.endswith(".py")
-    if script != "enjoy" or not ours or "--no-render" in flags or any("render_mode" in flag for flag in flags):
+    if (
+        script != "enjoy"
+        or not asked.env.startswith("DynaForge/")
+        or "--no-render" in flags
+        or any("render_mode" in flag for flag in flags)
+    ):
         return
     from dynaforge.sim.bullet import missing_display
 
@@ -164,35 +196,40 @@ def _check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> 
 
 
 def _check_names(asked: argparse.Namespace) -> None:
-    """Refuse an unknown algorithm or env; envs that `--gym-packages` will register later are left to rl_zoo3."""
+    """Refuse an unknown algorithm or env."""
     import gymnasium as gym
     from rl_zoo3 import ALGOS
 
-    for kind, given, valid in (("algorithm", asked.algo, ALGOS), ("env", asked.env, gym.envs.registry)):
-        if given in valid or (kind == "env" and asked.gym_packages):
-            continue
-        close = difflib.get_close_matches(given, valid, n=1, cutoff=0.5)
+    if asked.algo not in ALGOS:
+        close = difflib.get_close_matches(asked.algo, ALGOS, n=1, cutoff=0.5)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise SystemExit(f"dynaforge: no {kind} {given!r}.{hint}")
+        raise SystemExit(f"dynaforge: no algorithm {asked.algo!r}.{hint}")
+    if asked.env not in gym.registry:
+        raise SystemExit(f"dynaforge: no env {asked.env!r}. {what_was_meant(asked.env, among=gym.registry)}")
 
 
 @contextmanager
-def _zoo_process(script: str, flags: list[str], *, own_vec_env: bool) -> Iterator[None]:
-    """Arrange what rl_zoo3 reads from the process, for as long as it runs: `sys.argv` and the class of its vec envs."""
+def _zoo_process(script: str, flags: list[str], *, own_vec_env: bool, own_config: bool) -> Iterator[None]:
+    """Arrange for as long as rl_zoo3 runs what it reads from the process, and what it does to our envs."""
     from rl_zoo3.exp_manager import ExperimentManager
 
     from dynaforge.envs.vector_env import SharedMemoryVecEnv
 
     manager: Any = ExperimentManager
-    previous = sys.argv, manager.default_vec_env_cls, manager.save_trained_model
+    changed = ("default_vec_env_cls", "save_trained_model", "read_hyperparameters")
+    previous = sys.argv, {name: getattr(manager, name) for name in changed}
     sys.argv = [f"dynaforge {script}", *flags]
     manager.save_trained_model = _saving_the_policy(manager.save_trained_model)
     if own_vec_env and script == "train":
         manager.default_vec_env_cls = SharedMemoryVecEnv
+    if own_config:
+        manager.read_hyperparameters = reading_our_settings(manager.read_hyperparameters)
     try:
         yield
     finally:
-        sys.argv, manager.default_vec_env_cls, manager.save_trained_model = previous
+        sys.argv = previous[0]
+        for name, value in previous[1].items():
+            setattr(manager, name, value)
 
 
 def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:

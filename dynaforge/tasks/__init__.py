@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 
@@ -21,6 +22,7 @@ __all__ = [
     "Task",
     "get_task",
     "task_source",
+    "what_was_meant",
 ]
 
 TASK_NAMES = tuple(name for name in ENV_NAMES if name not in TASK_FILES)
@@ -47,7 +49,7 @@ def get_task(given: str) -> Task:
         return task_of_file(Path(given).resolve())
     name = task_named(given)
     if name is None:
-        raise ValueError(f"No task {given!r}. {_hint(given)}")
+        raise ValueError(f"No task {given!r}. {what_was_meant(given)}")
     if name in TASK_FILES:
         return task_of_file(Path(TASK_FILES[name]))
     task: Task = import_module(f"dynaforge.tasks.{name}").TASK
@@ -59,9 +61,10 @@ def task_source(task: Task) -> str:
     return TASK_FILES.get(task.name, task.name)
 
 
-def _hint(given: str) -> str:
-    """Say what may have been meant by a task that does not exist."""
+def what_was_meant(given: str, *, among: Iterable[str] = ()) -> str:
+    """Say what may have been meant by a task that does not exist; or by an env, if ids are given to look among."""
     known = {text.lower(): text for name in ENV_NAMES for text in (name, *env_ids(name))}
+    known |= {text.lower(): text for text in among}
     bare = given.removeprefix("dynaforge:").lower()
     stem = bare.removeprefix("dynaforge/").removesuffix("-v0")
     files = [name for name in (f"{stem}.py", f"{stem.removesuffix('task')}.py") if Path(name).is_file()]

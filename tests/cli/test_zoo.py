@@ -16,7 +16,7 @@ import yaml
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import zoo
 from dynaforge.cli.main import main
-from dynaforge.cli.runs import arms
+from dynaforge.cli.settings import arms
 
 
 def run(*arguments: str) -> str:

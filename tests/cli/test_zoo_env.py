@@ -1,0 +1,116 @@
+"""rl_zoo3's scripts on tasks of one's own, and on folders of strangers."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_zoo import run, zoo_process
+
+from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli import zoo
+from dynaforge.cli.settings import hyperparameters
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Hold what rl_zoo3 would have been started with."""
+    found: list[str] = []
+    monkeypatch.setattr(zoo, "_run", lambda script: found.extend(sys.argv))
+    return found
+
+
+@pytest.mark.parametrize("script", ["train", "enjoy", "record_video"])
+@pytest.mark.parametrize(
+    ("given", "env"),
+    [
+        ("can", "DynaForge/Can-v0"),
+        ("ToyCar", "DynaForge/ToyCar-v0"),
+        ("dynaforge:DynaForge/Can-v0", "DynaForge/Can-v0"),
+        ("dynaforge/cantask-v0", "DynaForge/CanTask-v0"),
+        ("ball.py", "DynaForge/Ball-v0"),
+    ],
+)
+def test_rl_zoo3_is_told_the_id_of_whatever_names_a_task(
+    ball: Path, script: str, given: str, env: str, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ball.parent)
+    zoo.main([script, "--algo", "frontier_grpo", "--env", given, "--trusted", *["--no-render"] * (script == "enjoy")])
+    assert asked[asked.index(env) - 1] == "--env"
+
+
+def test_a_package_that_is_a_task_file_registers_its_envs(
+    ball: Path, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ball.parent)
+    zoo.main(["train", "--algo", "ppo", "--env", "DynaForge/Ball-v0", "--gym-packages", "ball"])
+    assert "DynaForge/Ball-v0" in asked
+    assert "--gym-packages bull: No module named 'bull'" in run("train", "--gym-packages", "bull")
+
+
+def test_an_unnamed_file_of_a_task_is_offered_and_not_run(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ball.parent)
+    assert "give that file in its place" in run("train", "--algo", "ppo", "--env", "DynaForge/Ball-v0")
+    assert "ball" not in sys.modules
+
+
+@pytest.mark.parametrize("algo", ["frontier_grpo", "grpo", "ppo"])
+@pytest.mark.parametrize("given", ["ball.py", "peach"])
+def test_train_takes_the_settings_that_forge_and_compare_take(
+    ball: Path, algo: str, given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    zoo.register_with_zoo()
+    from rl_zoo3.exp_manager import ExperimentManager
+
+    taken: dict[str, Any] = {}
+
+    def look(script: str) -> None:
+        told = dict(itertools.pairwise(sys.argv))  # the last of a flag counts
+        env, config = told["--env"], told["--conf-file"]
+        manager: Any = ExperimentManager.__new__(ExperimentManager)
+        manager.__dict__.update(algo=algo, config=config, _is_atari=False, storage=None, custom_hyperparams=None)
+        manager.env_name, manager.env_kwargs = EnvironmentName(env), {}
+        taken.update(manager.read_hyperparameters()[0])
+        assert manager.env_name.gym_id == env
+
+    from huggingface_sb3 import EnvironmentName
+
+    monkeypatch.setattr(zoo, "_run", look)
+    monkeypatch.chdir(ball.parent)
+    zoo.main(["train", "--algo", algo, "--env", given])
+    assert taken == hyperparameters(algo, given)
+
+
+@pytest.mark.parametrize("agent", ["", "logs/agent.zip"])
+def test_statistics_of_a_run_are_not_unpickled_unasked(
+    tmp_path: Path, agent: str, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """rl_zoo3 looks for them in the folder where it is started, even where no run is gone on with."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path(os.path.dirname(agent)) / "DynaForge-Can-v0"
+    folder.mkdir(parents=True)
+    (folder / "vecnormalize.pkl").touch()
+    which = ["train", "--algo", "ppo", "--env", "can", *(["-i", agent] if agent else [])]
+    assert "can run code" in run(*which)
+    assert not asked
+    zoo.main([*which, "--trusted"])
+    assert asked
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_zoo_trains_plays_and_films_a_task_of_ones_own(ball: Path) -> None:
+    which = ["--algo", "frontier_grpo", "--env", "ball.py", "-f", "logs"]
+    small = ["--device", "cpu", "--num-threads", "1", "-n", "16", "--eval-episodes", "1", "--eval-freq", "8"]
+    small += ["-params", "n_envs:2", "n_groups:2", "group_size:2"]
+    for workers in ([], ["--vec-env", "subproc"]):
+        zoo_process(ball.parent, "train", *which, *small, *workers)
+    run_folder = ball.parent / "logs" / "frontier_grpo" / "DynaForge-Ball-v0_2"
+    assert MlpPolicyFile.load(run_folder / "policy.safetensors").task == "ball"
+    assert "Loading" in zoo_process(ball.parent, "enjoy", *which, "-n", "20", "--no-render", "--trusted")
+    zoo_process(ball.parent, "record_video", *which, "-n", "4", "-o", "films", "--trusted")
+    assert list((ball.parent / "films").glob("*.mp4"))
