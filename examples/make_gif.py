@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=640, help="pixels of the whole picture")
     options = parser.parse_args()
     task = get_task(options.task)
-    right = ResidualGenerator(MlpPolicyFile.load(options.policy, task=task.name))
+    right = ResidualGenerator(MlpPolicyFile.load(options.policy, task=task))
     env = ResidualEnv(task, render_mode="rgb_array")
     frames = []
     for difficulty in options.difficulty:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,20 +14,25 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dynaforge.demos import atomic_write
+from dynaforge.registration import ENV_NAMES
+from dynaforge.tasks import Task, get_task
 
 if TYPE_CHECKING:  # workers that only run a policy do without torch, which takes seconds to import
-    import torch as th
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 FORMAT = "dynaforge-policy"
 _ACTIVATIONS: dict[str, Callable[[Any], Any]] = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
 
+Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
 
 class MlpPolicyFile:
     """The deterministic part of a trained policy: mean of Eq. 4, in plain numpy (9 us a call).
 
+    `load` and `of` check what they return: finite weights, layers that chain, sizes that fit the task.
+
     Attributes:
-        task: The task it was trained on.
+        task: Name of the task it was trained on.
         meta: Plain JSON data kept with it: how it was trained, versions.
         digest: SHA-256 over task and weights: names the policy in every episode it makes.
     """
@@ -60,25 +65,21 @@ class MlpPolicyFile:
         return digest.hexdigest()[:16]
 
     @staticmethod
-    def of(model: BaseAlgorithm, *, task: str, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
+    def of(model: BaseAlgorithm, *, task: str | Task, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
         """Take the policy out of a trained SB3 on-policy model with "MlpPolicy".
 
         Raises:
-            ValueError: Its policy is not a plain MLP.
+            ValueError: Unknown task, sizes that do not fit it, or a policy of which the file would not hold all:
+                anything but a plain MLP from a flat observation to an action in [-1, 1].
         """
-        from stable_baselines3.common.policies import ActorCriticPolicy
-        from torch.nn import Linear
+        from dynaforge.algos.plain_mlp import plain_mlp
 
-        policy: Any = model.policy
-        if not isinstance(policy, ActorCriticPolicy):
-            raise ValueError(f"Only an MLP policy can be written as a policy file, not {type(policy).__name__}.")
-        net = [*policy.mlp_extractor.policy_net, policy.action_net]
-        linear = [m for m in net if isinstance(m, Linear)]
-        names = {type(m).__name__ for m in net if not isinstance(m, Linear)}
-        if len(names) > 1 or type(policy.features_extractor).__name__ != "FlattenExtractor":
-            raise ValueError("Only a plain MLP policy can be written as a policy file.")
-        layers = [(_array(m.weight), _array(m.bias)) for m in linear]
-        return MlpPolicyFile(layers, names.pop() if names else "Tanh", task=task, meta=meta)
+        trained_on = get_task(task) if isinstance(task, str) else task
+        layers, activation = plain_mlp(model)
+        policy = MlpPolicyFile(layers, activation, task=trained_on.name, meta=meta)
+        if fault := _fault_of(layers) or _misfit(layers, trained_on):
+            raise ValueError(f"The policy cannot be written as a policy file: {fault}.")
+        return policy
 
     def save(self, path: str | Path) -> None:
         """Write the policy, replacing the file as a whole or not at all."""
@@ -89,27 +90,84 @@ class MlpPolicyFile:
         atomic_write(Path(path), save(tensors, {"dynaforge": json.dumps(header, sort_keys=True)}))
 
     @staticmethod
-    def load(path: str | Path, *, task: str | None = None) -> MlpPolicyFile:
+    def load(path: str | Path, *, task: str | Task | None = None) -> MlpPolicyFile:
         """Read a policy; runs no code from the file.
+
+        Args:
+            path: The file.
+            task: What it shall be for: a task, or its name, env id or file. None takes the task that the file names.
 
         Raises:
             FileNotFoundError: No such file.
-            ValueError: Not a policy file, a damaged one, or one of another task than `task`.
+            ValueError: Not a policy file, a damaged one, or one of another task, or whose sizes do not fit the task.
         """
         if not Path(path).is_file():
             raise FileNotFoundError(f"No policy file {path}. `dynaforge forge` and `dynaforge train` write them.")
+        asked = get_task(task) if isinstance(task, str) else task
         try:
-            with safe_open(str(path), framework="numpy") as file:
-                header = json.loads((file.metadata() or {})["dynaforge"])
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
-            layers = [(tensors[f"{k}.weight"], tensors[f"{k}.bias"]) for k in range(len(tensors) // 2)]
-            policy = MlpPolicyFile(layers, header["activation"], task=header["task"], meta=header["meta"])
-        except (SafetensorError, KeyError, ValueError) as error:
-            raise ValueError(f"{path} is no dynaforge policy file, or is damaged: {error}.") from error
-        if task is not None and policy.task != task:
-            raise ValueError(f"{path} is a policy for task {policy.task!r}, not for {task!r}.")
+            policy = _read(path)
+        except (SafetensorError, KeyError, ValueError, TypeError, RecursionError) as error:
+            reason = " ".join(str(error).split())
+            raise ValueError(f"{path} is no dynaforge policy file, or is damaged: {reason.rstrip('.')}.") from error
+        if asked is not None and policy.task != asked.name:
+            raise ValueError(f"{path} is a policy for task {policy.task!r}, not for {asked.name!r}.")
+        if asked is None and policy.task not in ENV_NAMES:  # never looked up as a file: that would run its code
+            raise ValueError(
+                f"{path} is a policy for task {policy.task!r}, which is none of {', '.join(ENV_NAMES)}. If it is one "
+                "of your own, pass its file as `task`."
+            )
+        if fault := _misfit(policy._layers, asked or get_task(policy.task)):
+            raise ValueError(f"{path} does not fit: {fault}.")
         return policy
 
 
-def _array(parameter: th.Tensor) -> NDArray[np.float32]:
-    return parameter.detach().cpu().numpy().astype(np.float32)
+def _read(path: str | Path) -> MlpPolicyFile:
+    with safe_open(str(path), framework="numpy") as file:
+        metadata = file.metadata() or {}
+        if "dynaforge" not in metadata:
+            raise ValueError("it has no dynaforge header")
+        header = json.loads(metadata["dynaforge"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no iterator of its own
+    if not isinstance(header, dict):
+        raise ValueError(f"its header is {type(header).__name__}, expected a mapping")
+    if header.get("format") != FORMAT:
+        raise ValueError(f"its format is {header.get('format')!r}, expected {FORMAT!r}")
+    for name, kind in (("task", str), ("activation", str), ("meta", dict)):
+        if not isinstance(header.get(name), kind):
+            raise ValueError(f"{name} in its header is {header.get(name)!r:.80}, expected {kind.__name__}")
+    names = [f"{k}.{part}" for k in range(len(tensors) // 2) for part in ("weight", "bias")]
+    if not names or set(names) != set(tensors):
+        raise ValueError(f"its tensors are {sorted(tensors)!s:.80}, expected a weight and a bias of every layer")
+    layers = [(tensors[weight], tensors[bias]) for weight, bias in zip(names[::2], names[1::2], strict=True)]
+    if fault := _fault_of(layers):
+        raise ValueError(fault)
+    return MlpPolicyFile(layers, header["activation"], task=header["task"], meta=header["meta"])
+
+
+def _fault_of(layers: Layers) -> str:
+    """Say what is wrong with the layers of an MLP: their types, shapes and values; "" if nothing is."""
+    width: int | None = None
+    for k, (weight, bias) in enumerate(layers):
+        if weight.dtype != np.float32 or bias.dtype != np.float32:
+            return f"layer {k} holds {weight.dtype} and {bias.dtype}, expected float32"
+        if weight.ndim != 2 or bias.shape != weight.shape[:1] or not weight.size:
+            return f"layer {k} has a weight of shape {weight.shape} and a bias of shape {bias.shape}"
+        if width not in (None, weight.shape[1]):
+            return f"layer {k} takes {weight.shape[1]} numbers, and the layer before gives {width}"
+        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            return f"layer {k} holds NaN or infinity"
+        width = len(bias)
+    return ""
+
+
+def _misfit(layers: Layers, task: Task) -> str:
+    """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not."""
+    from dynaforge.envs.observation import residual_sizes
+
+    sizes, expected = (layers[0][0].shape[1], len(layers[-1][1])), residual_sizes(task)
+    if sizes == expected:
+        return ""
+    return (
+        f"it takes {sizes[0]} numbers and gives {sizes[1]}, but an observation of task {task.name!r} has "
+        f"{expected[0]} and its action {expected[1]}"
+    )

@@ -82,7 +82,7 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
-    policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task.name)
+    policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task)
     if name == "exploring":
         return ResidualGenerator(
             Exploring(policy, 0.25 if options.sigma is None else options.sigma), policy_hash=policy.digest, name=name

@@ -78,7 +78,7 @@ def skill_picture(task: Task, conditions: Iterable[Condition]) -> Frame:
 
 def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int = 2) -> list[Clip]:
     """Film the first `each` successes and failures among the attempts of a policy."""
-    generator = ResidualGenerator(MlpPolicyFile.load(policy, task=task.name))
+    generator = ResidualGenerator(MlpPolicyFile.load(policy, task=task))
     chosen = [[a for a in attempts if a.success is wanted][:each] for wanted in (True, False)]
     env = ResidualEnv(task, render_mode="rgb_array")
     try:

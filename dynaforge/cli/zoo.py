@@ -244,8 +244,6 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         from dynaforge.cli.training import policy_file
 
         try:
-            if manager.normalize:
-                raise ValueError("A policy file holds no normalisation.")
             updates = model._n_updates // getattr(model, "n_epochs", 1)
             policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
         except ValueError as error:

@@ -40,29 +40,10 @@ class ObservationBuilder:
         self._one_hot = np.eye(len(task.phases))
         self._dt = task.scene.control_dt
         self._time_limit = task.time_limit
-        names = task.scene.tracked if len(task.scene.tracked) > 1 else ()
-        self._others = names
+        self._others = _others(task)
         self._manipulated = task.manipulated
         self._history: deque[SceneState] = deque(maxlen=HISTORY)
-        self.layout = (
-            *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
-            ("ee_velocity", 3, 1.0),
-            ("object_angular_velocity", 3, 20.0),
-            *((f"{name}/{part}", size, scale) for name in names for part, size, scale in _PER_BODY),
-            ("object_position", 3, 0.5),
-            ("heading", 2, 1.0),
-            ("plan_from_ee", 3, 0.1),
-            ("plan_rotation_from_ee", 3, 1.0),
-            ("plan_width", 1, 0.08),
-            ("q", 7, 1.0),
-            ("dq", 7, 1.0),
-            ("phase", len(task.phases), 1.0),
-            ("gate", 1, 1.0),
-            ("frozen", 1, 1.0),
-            ("phase_time_left", 1, 1.0),
-            ("time_left", 1, 1.0),
-            ("last_residual", n_actions, 1.0),
-        )
+        self.layout = observation_layout(task, n_actions)
         self.size = sum(size for _, size, _ in self.layout)
         self._scale = np.concatenate([np.full(size, scale) for _, size, scale in self.layout])
 
@@ -125,6 +106,40 @@ class ObservationBuilder:
             body.velocity @ to_frame,
             body.pose.rotation[:, 2] @ to_frame,
         )
+
+
+def observation_layout(task: Task, n_actions: int) -> tuple[tuple[str, int, float], ...]:
+    """Return (name, size, scale) of every part of the observation, in order."""
+    return (
+        *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
+        ("ee_velocity", 3, 1.0),
+        ("object_angular_velocity", 3, 20.0),
+        *((f"{name}/{part}", size, scale) for name in _others(task) for part, size, scale in _PER_BODY),
+        ("object_position", 3, 0.5),
+        ("heading", 2, 1.0),
+        ("plan_from_ee", 3, 0.1),
+        ("plan_rotation_from_ee", 3, 1.0),
+        ("plan_width", 1, 0.08),
+        ("q", 7, 1.0),
+        ("dq", 7, 1.0),
+        ("phase", len(task.phases), 1.0),
+        ("gate", 1, 1.0),
+        ("frozen", 1, 1.0),
+        ("phase_time_left", 1, 1.0),
+        ("time_left", 1, 1.0),
+        ("last_residual", n_actions, 1.0),
+    )
+
+
+def residual_sizes(task: Task) -> tuple[int, int]:
+    """Return how many numbers a task's residual policy reads and gives, without building the env."""
+    n_actions = sum(scale != 0.0 for scale in task.residual.scales)
+    return sum(size for _, size, _ in observation_layout(task, n_actions)), n_actions
+
+
+def _others(task: Task) -> tuple[str, ...]:
+    """Name the bodies of which the observation tells besides the phase's object."""
+    return task.scene.tracked if len(task.scene.tracked) > 1 else ()
 
 
 def is_finite(values: NDArray[Any]) -> bool:

@@ -1,0 +1,71 @@
+"""What a policy file can hold of a Stable-Baselines3 model: the layers of a plain MLP, and nothing else of effect."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.preprocessing import is_image_space
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from torch import nn
+
+from dynaforge.algos.policies import CriticFreePolicy
+
+Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+def plain_mlp(model: BaseAlgorithm) -> tuple[Layers, str]:
+    """Return the layers and the name of the activation of a model whose deterministic policy is a plain MLP.
+
+    Raises:
+        ValueError: The model acts otherwise; says by what.
+    """
+    policy = model.policy
+    if type(policy) not in (ActorCriticPolicy, CriticFreePolicy):
+        raise ValueError(f"Only an MLP policy can be written as a policy file, not {type(policy).__name__}.")
+    assert isinstance(policy, ActorCriticPolicy)
+    if reason := _beyond_a_plain_mlp(model, policy):
+        raise ValueError(f"Only a plain MLP policy can be written as a policy file; {reason}.")
+    hidden = list(policy.mlp_extractor.policy_net)
+    linear = [module for module in [*hidden, policy.action_net] if isinstance(module, nn.Linear)]
+    layers = [(_array(module.weight), _array(module.bias)) for module in linear]
+    kinds = {type(module).__name__ for module in hidden if not isinstance(module, nn.Linear)}
+    return layers, kinds.pop() if kinds else "Tanh"
+
+
+def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
+    """Say what of the model a plain MLP would leave out; "" if nothing."""
+    observation, action = policy.observation_space, policy.action_space
+    normalised = model.get_vec_normalize_env()
+    if normalised is not None and normalised.norm_obs:
+        return (
+            "this one sees observations through VecNormalize: train without `normalize`, the env's are scaled already"
+        )
+    if policy.squash_output:
+        return "this one squashes its output: train without `squash_output`"
+    extractor = type(policy.features_extractor)
+    if extractor is not FlattenExtractor:
+        return f"this one has the features extractor {extractor.__name__}"
+    if not isinstance(observation, spaces.Box) or len(observation.shape) != 1 or is_image_space(observation):
+        return f"this one observes {observation}, which is no flat vector"
+    if not isinstance(action, spaces.Box) or len(action.shape) != 1:
+        return f"this one acts in {action}, which is no flat Box"
+    if not ((action.low == -1.0).all() and (action.high == 1.0).all()):
+        return f"this one acts in {action}, and a policy file gives actions in [-1, 1]"
+    hidden = list(policy.mlp_extractor.policy_net)
+    kinds = {type(module) for module in hidden[1::2]}
+    shape = [isinstance(module, nn.Linear) for module in hidden]
+    if shape != [k % 2 == 0 for k in range(len(hidden))] or len(kinds) > 1:
+        return f"this one's layers are {', '.join(type(module).__name__ for module in hidden)}"
+    if not isinstance(policy.action_net, nn.Linear):
+        return f"this one's last layer is {type(policy.action_net).__name__}"
+    if not kinds <= {nn.Tanh, nn.ReLU}:
+        return f"this one's activation is {kinds.pop().__name__}; Tanh and ReLU are supported"
+    return ""
+
+
+def _array(parameter: th.Tensor) -> NDArray[np.float32]:
+    return parameter.detach().cpu().numpy().astype(np.float32)
