@@ -19,7 +19,8 @@ from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
 from dynaforge.generators.generator import ConstantResidual
-from dynaforge.tasks import Task
+from dynaforge.sim.spec import asset_path
+from dynaforge.tasks import Task, task_source
 
 MOST_WRITING = 0.02  # of the time of collecting
 MOST_WINDOW = 5e-5  # seconds
@@ -50,8 +51,8 @@ class TimedDataset(DemonstrationDataset):
 
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:
-    """Collect as `dynaforge collect` does, with the shipped policy: the share of all cores that writing takes."""
-    generator = make_generator("residual", task, Namespace(policy=None))
+    """Collect as `dynaforge collect` does: the share of all cores that writing takes."""
+    generator = make_generator(_generator_of(task), task, Namespace(policy=None))
     shares, busy, cores = [], [], os.cpu_count() or 1
     for number in tracked(range(rounds), "writing"):
         with tempfile.TemporaryDirectory() as folder:
@@ -121,11 +122,12 @@ def replay(task: Task) -> list[Figure]:
 
 
 def demonstrations(task: Task) -> list[Figure]:
-    """Collect successes with the shipped policy on all cores, then render point clouds: minutes of each command."""
+    """Collect successes on all cores, then render point clouds: minutes of each command."""
     with tempfile.TemporaryDirectory() as parent:
         folder = f"{parent}/data"
         start = time.perf_counter()
-        collected = _dynaforge("collect", "--task", task.name, "--demos", str(DEMONSTRATIONS), "--out", folder)
+        what = ("--task", task_source(task), "--generator", _generator_of(task))
+        collected = _dynaforge("collect", *what, "--demos", str(DEMONSTRATIONS), "--out", folder)
         collecting = (time.perf_counter() - start) / 60
         rendered = _dynaforge("render", folder, "--cameras", "front", "--points", str(POINTS), "--no-images")
         both = (time.perf_counter() - start) / 60
@@ -143,6 +145,15 @@ def demonstrations(task: Task) -> list[Figure]:
             rendered and both <= MOST_RENDERING, data,
         ),
     ]  # fmt: skip
+
+
+def _generator_of(task: Task) -> str:
+    """Name what collects: the planner with the shipped policy, or alone where none is shipped."""
+    try:
+        asset_path(f"{task.name}/policy.safetensors")
+    except FileNotFoundError:
+        return "planner_only"
+    return "residual"
 
 
 def _dynaforge(*arguments: str) -> bool:

@@ -85,7 +85,8 @@ def state_arrays(state: SceneState) -> list[Array]:
     arrays = [state.q, state.dq, state.ee.rotation, state.ee.position, np.array((state.time, state.width))]
     for name, body in state.objects.items():
         arrays += [body.pose.rotation, body.pose.position, body.velocity, body.angular_velocity]
-        arrays.append(np.array((*state.touching[name], state.on_table[name]), dtype=np.float64))
+        # On the table: measured of free bodies only.
+        arrays.append(np.array((*state.touching[name], state.on_table.get(name, False)), dtype=np.float64))
     return arrays
 
 

@@ -59,11 +59,13 @@ class Recording:
     Attributes:
         condition: Its condition.
         commands: For each control step the joint targets of its substeps, their velocity and the opening.
+        fixtures: For each control step the speeds of the motors of every fixture.
         end: The last measured state.
     """
 
     condition: Condition
     commands: list[tuple[list[list[float]], list[float], float]]
+    fixtures: list[list[list[float]]]
     end: SceneState
 
 
@@ -71,9 +73,10 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
     """Compare whole planner-only episodes, planning and reset included, with the bare simulator.
 
     Bare is stepSimulation and one array motor call a substep, replaying the very same episodes: their joint targets
-    are computed beforehand, and resets are outside its clock. The opening is commanded where it changes, since
-    nothing would be gripped otherwise. A replay that does not end in the recorded state bit for bit misses the
-    figure: both loops must simulate the same contacts.
+    and the speeds of fixtures are computed beforehand, and resets are outside its clock. The opening is commanded where
+    it changes, since nothing would be gripped otherwise, and fixtures once a control step, since they carry things. A
+    replay that does not end in the recorded state bit for bit misses the figure: both loops must simulate the same
+    contacts.
 
     Args:
         task: The task.
@@ -122,7 +125,18 @@ def _record(env: ResidualEnv, condition: Condition) -> Recording:
         velocity = ((q - start) / spec.control_dt).tolist()
         commands.append(((start + shares * (q - start)).tolist(), velocity, step.reference.width))
         start = q
-    return Recording(condition, commands, steps[-1].after)
+    return Recording(condition, commands, _fixture_speeds(env.world.scene, condition, steps), steps[-1].after)
+
+
+def _fixture_speeds(scene: SimScene, condition: Condition, steps: list[ControlStep]) -> list[list[list[float]]]:
+    """Simulate an episode once more, and return the speeds that its fixtures are asked for."""
+    if not scene.fixtures:
+        return [[] for _ in steps]
+    state, dt, speeds = scene.reset(condition), scene.spec.control_dt, []
+    for step in steps:
+        speeds.append([fixture.due(state.time + dt, dt) for fixture in scene.fixtures.values()])
+        state = scene.step(step.reference.q, step.reference.width)
+    return speeds
 
 
 def replay_bare(scene: SimScene, recording: Recording) -> tuple[float, bool]:
@@ -134,13 +148,16 @@ def replay_bare(scene: SimScene, recording: Recording) -> tuple[float, bool]:
     scene.reset(recording.condition)
     # The scene's own bound calls: any other way of calling Bullet is slower and would flatter the ratio.
     command_arm, step_physics, finger_motors = scene._command_arm, scene._step_physics, scene._finger_motors
+    fixtures = tuple(scene.fixtures.values())
     commanded = None
     begin = time.process_time()
-    for path, velocity, width in recording.commands:
+    for (path, velocity, width), speeds in zip(recording.commands, recording.fixtures, strict=False):
         if width != commanded:
             commanded = width
             for command in finger_motors:
                 command(targetPosition=width / 2)
+        for fixture, due in zip(fixtures, speeds, strict=True):
+            fixture.command(due)
         for q in path:
             command_arm(targetPositions=q, targetVelocities=velocity)
             step_physics()

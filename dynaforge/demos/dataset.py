@@ -11,6 +11,7 @@ from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, r
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, DamagedFileError, read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
+from dynaforge.sim.checks import check_flag, check_kind, check_task_name
 
 FORMAT = "dynaforge-demonstrations"
 _MARKER = "dataset.json"
@@ -31,6 +32,10 @@ class Provenance:
     policy: str
     task_definition: str
 
+    def __post_init__(self) -> None:
+        check_kind("Provenance: policy", self.policy, str)
+        check_kind("Provenance: task_definition", self.task_definition, str)
+
 
 class DemonstrationDataset:
     """Demonstrations of one task in a folder: `dataset.json`, `ledger.jsonl`, `episodes/<id>.h5`.
@@ -48,10 +53,14 @@ class DemonstrationDataset:
         FileNotFoundError: The folder holds no dataset and no task was given.
         FileExistsError: The folder holds other data.
         PermissionError: A task was given and the folder cannot be created or written to.
-        ValueError: The folder belongs to another task, or was written by a newer version.
+        ValueError: The folder belongs to another task, or was written by a newer version; or `task` may not name one.
     """
 
     def __init__(self, path: str | Path, *, task: str | None = None, keep_failures: bool = False) -> None:
+        check_kind("path", path, (str, Path))
+        check_flag("keep_failures", keep_failures)
+        if task is not None:
+            check_task_name("task", task)
         self.path = Path(path)
         self.writable = task is not None
         self.keep_failures = keep_failures
@@ -72,6 +81,7 @@ class DemonstrationDataset:
             ValueError: The episode is of another task.
             OSError: The disk is full or the folder has gone; nothing that was added before is lost.
         """
+        check_kind("episode", episode, Episode)
         self._check(episode.condition.task)
         kept = episode.success or self.keep_failures
         if kept:
@@ -84,6 +94,7 @@ class DemonstrationDataset:
         Raises:
             PermissionError, ValueError, OSError: As `add`.
         """
+        check_kind("attempt", attempt, Attempt)
         self._check(attempt.condition.task)
         self.ledger.append(attempt)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.schema import validate_steps
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, shown
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -24,20 +25,31 @@ def episode_id(condition: Condition, generator: str) -> str:
     Raises:
         ValueError: The generator's name does not fit into a file name.
     """
-    if not _GENERATOR_NAME.fullmatch(generator):
-        raise ValueError(f"Generator name {generator!r} must consist of letters, digits, '.', '_' and '-'.")
+    if not isinstance(generator, str) or not _GENERATOR_NAME.fullmatch(generator):
+        raise ValueError(f"Generator name {shown(generator)} must consist of letters, digits, '.', '_' and '-'.")
     return f"{condition.id}-{generator}"
 
 
-def check_outcome(success: bool, failure: str) -> None:
-    """Make sure that exactly the failures carry a reason.
+def check_outcome(kind: str, outcome: Any) -> None:
+    """Check what an episode and an attempt share.
+
+    Args:
+        kind: "Episode" or "Attempt".
+        outcome: The one or the other.
 
     Raises:
-        ValueError: A success with a failure reason, or a failure without one.
+        ValueError: A field of the wrong type or out of range, or not exactly the failures carry a reason.
     """
-    if success and failure:
-        raise ValueError(f"A success has no failure reason, but {failure!r} was given.")
-    if not success and not failure:
+    check_kind(f"{kind}: condition", outcome.condition, Condition)
+    episode_id(outcome.condition, outcome.generator)
+    check_flag(f"{kind}: success", outcome.success)
+    check_whole(f"{kind}: checkpoint", outcome.checkpoint, least=0)
+    check_number(f"{kind}: duration", outcome.duration, least=0.0)
+    for name in ("failure", "phase"):
+        check_kind(f"{kind}: {name}", getattr(outcome, name), str)
+    if outcome.success and outcome.failure:
+        raise ValueError(f"A success has no failure reason, but {outcome.failure!r} was given.")
+    if not outcome.success and not outcome.failure:
         raise ValueError("A failure needs a reason, e.g. 'timeout'.")
 
 
@@ -68,11 +80,12 @@ class Episode:
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        episode_id(self.condition, self.generator)
-        check_outcome(self.success, self.failure)
+        check_outcome("Episode", self)
+        check_kind("Episode: steps", self.steps, Mapping)
+        check_kind("Episode: meta", self.meta, Mapping)
         try:
             meta = json.loads(json.dumps(dict(self.meta), allow_nan=False))
-        except TypeError as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"Episode meta must be plain JSON data: {error}.") from error
         object.__setattr__(self, "steps", MappingProxyType(validate_steps(self.steps)))
         object.__setattr__(self, "meta", MappingProxyType(meta))

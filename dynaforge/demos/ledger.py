@@ -14,6 +14,7 @@ from typing import Any
 from dynaforge.demos.atomic import naming
 from dynaforge.demos.episode import Episode, check_outcome, episode_id
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_flag, check_number, check_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +40,10 @@ class Attempt:
     recorded: bool = False
 
     def __post_init__(self) -> None:
-        episode_id(self.condition, self.generator)
-        check_outcome(self.success, self.failure)
+        check_outcome("Attempt", self)
+        check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
+        check_whole("Attempt: block", self.block, least=0)
+        check_flag("Attempt: recorded", self.recorded)
 
     @property
     def id(self) -> str:

@@ -93,6 +93,8 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     Raises:
         ValueError: An unknown name, a wrong shape or type, unequal lengths, time that does not increase.
     """
+    if odd := [name for name in steps if not isinstance(name, str)]:
+        raise ValueError(f"Step quantity {odd[0]!r} has no name; names are texts.")
     sizes: dict[str, int] = {}
     arrays = {name: _checked(name, steps[name], sizes) for name in sorted(steps)}
     if not arrays:
@@ -106,7 +108,10 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 
 def _checked(name: str, value: Any, sizes: dict[str, int]) -> NDArray[Any]:
     field = field_of(name)
-    given = np.asarray(value)
+    try:
+        given = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"Step quantity {name!r} is no array: {error}.") from error
     if given.ndim == 0 or given.dtype.kind not in "biuf":
         raise ValueError(f"Step quantity {name!r} must be a numeric array with leading dimension T.")
     if field is not None and not np.can_cast(given.dtype, field.dtype, "same_kind"):

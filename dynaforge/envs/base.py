@@ -31,7 +31,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
 
     def __init__(self, task: str | Task, render_mode: str | None) -> None:
-        self.task = get_task(task) if isinstance(task, str) else task
+        self.task = task if isinstance(task, Task) else get_task(task)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.checks import check_flag, check_name, check_number, check_numbers, is_whole
 from dynaforge.sim.scene import SimScene
 
 Point = tuple[float, float, float]
 FLIP = np.diag((1.0, -1.0, -1.0))  # from OpenGL's camera axes (y up, looking along -z) to OpenCV's (y down, along z)
+LARGEST = 4096  # pixels of an edge: an image of more takes gigabytes
 LIGHT = (0.6, -0.6, 2.0)
 
 
@@ -43,8 +45,18 @@ class Camera:
     far: float = 4.0
 
     def __post_init__(self) -> None:
-        if min(self.size) < 1 or not 0.0 < self.fov < 180.0 or not 0.0 < self.near < self.far:
-            raise ValueError(f"Camera {self.name!r} needs a size of at least 1 x 1, 0 < fov < 180 and 0 < near < far.")
+        check_name("Camera: name", self.name)
+        what = f"Camera {self.name!r}"
+        for name in ("eye", "look_at", "up"):
+            check_numbers(f"{what}: {name}", getattr(self, name), 3)
+        check_flag(f"{what}: in_hand", self.in_hand)
+        check_numbers(f"{what}: size", self.size, 2)
+        for name in ("fov", "near", "far"):
+            check_number(f"{what}: {name}", getattr(self, name), above=0.0)
+        inside = all(is_whole(edge) and 1 <= edge <= LARGEST for edge in self.size)
+        if not inside or self.fov >= 180.0 or self.near >= self.far:
+            raise ValueError(f"{what} needs a size of whole pixels, 1 to {LARGEST} each, fov < 180 and near < far.")
+        self.pose(Pose.identity())
 
     @property
     def intrinsics(self) -> Array:
@@ -57,9 +69,16 @@ class Camera:
         return np.array(((f, 0.0, 0.5 * width), (0.0, f, 0.5 * height - 1.0), (0.0, 0.0, 1.0)))
 
     def pose(self, ee: Pose) -> Pose:
-        """`T_world_camera` with the axes of OpenCV (x right, y down, z ahead), given the end effector's pose."""
+        """`T_world_camera` with the axes of OpenCV (x right, y down, z ahead), given the end effector's pose.
+
+        Raises:
+            ValueError: It looks at itself, or along its own up direction.
+        """
         eye, ahead, up = np.array(self.eye), np.subtract(self.look_at, self.eye), np.array(self.up)
-        z = ahead / np.linalg.norm(ahead)
+        distance = np.linalg.norm(ahead)
+        if distance < 1e-9:
+            raise ValueError(f"Camera {self.name!r} looks at itself: eye and look_at are both {self.eye}.")
+        z = ahead / distance
         x = np.cross(z, up)
         if np.linalg.norm(x) < 1e-6:
             raise ValueError(f"Camera {self.name!r} looks along its own up direction.")

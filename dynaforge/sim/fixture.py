@@ -80,8 +80,16 @@ class Fixture:
 
     def drive(self, time: float, dt: float) -> None:
         """Ask the motors for the speeds that bring every driven joint to where it is due at `time` in `dt` seconds."""
-        for joint, drive, effort in self._motors:
-            speed = (drive.position(time) - self._client.getJointState(self.body, joint)[0]) / dt
+        self.command(self.due(time, dt))
+
+    def due(self, time: float, dt: float) -> list[float]:
+        """Return those speeds, rad/s or m/s, in the order of `FixtureSpec.driven`."""
+        state = self._client.getJointState
+        return [(drive.position(time) - state(self.body, joint)[0]) / dt for joint, drive, _ in self._motors]
+
+    def command(self, speeds: list[float]) -> None:
+        """Ask the motors for speeds, rad/s or m/s."""
+        for (joint, _, effort), speed in zip(self._motors, speeds, strict=True):
             self._client.setJointMotorControl2(self.body, joint, p.VELOCITY_CONTROL, targetVelocity=speed, force=effort)
 
     def observe(self) -> BodyState:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dynaforge.geometry import Array
+from dynaforge.sim.checks import check_kind, check_number, finite_array, shown
 
 HAND_WIDTH = 0.08  # metres that the hand opens
 ELBOW = 2
@@ -52,6 +53,19 @@ class RobotDescription:
     width_max: float = HAND_WIDTH
     finger_speed_max: float = 0.05
     grip_force: float = 40.0
+
+    def __post_init__(self) -> None:
+        check_kind("RobotDescription: arm_joints", self.arm_joints, tuple)
+        n = len(self.arm_joints)
+        for name in ("q_lower", "q_upper", "q_ready", "dq_max", "ddq_max", "dddq_max", "effort_max"):
+            values = finite_array(f"RobotDescription: {name}", getattr(self, name), (n,))
+            object.__setattr__(self, name, values)
+            if "max" in name and (values <= 0.0).any():
+                raise ValueError(f"RobotDescription: {name} is {shown(values.tolist())}; limits are above 0.")
+        if not (self.q_lower < self.q_upper).all():
+            raise ValueError("RobotDescription: q_lower is not below q_upper in every joint.")
+        for name in ("stop_speed", "width_max", "finger_speed_max", "grip_force"):
+            check_number(f"RobotDescription: {name}", getattr(self, name), above=0.0)
 
 
 def franka() -> RobotDescription:

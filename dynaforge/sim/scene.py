@@ -10,6 +10,7 @@ import numpy as np
 from dynaforge.geometry import Array
 from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asset, plain_urdf, pose_of, stiffen
 from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.fixture import Fixture
 from dynaforge.sim.robot import RobotDescription, franka
@@ -38,6 +39,9 @@ class SimScene:
         visuals: Load visual shapes, which rendering needs and training does not; "plain" draws the robot by its
             collision meshes, 3,400 triangles instead of 100,000, a picture in a fifth of the time.
         gui: Open Bullet's window.
+
+    Raises:
+        ValueError: An argument is of the wrong kind.
     """
 
     def __init__(
@@ -48,6 +52,11 @@ class SimScene:
         visuals: bool | str = False,
         gui: bool = False,
     ) -> None:
+        check_kind("spec", spec, SceneSpec)
+        check_kind("robot", robot, (RobotDescription, type(None)))
+        check_flag("gui", gui)
+        if visuals != "plain":
+            check_flag('visuals, unless it is "plain",', visuals)
         self.spec = spec
         self.robot = robot or franka()
         self._stop_speeds = self.robot.stop_speed * self.robot.dq_max

@@ -50,7 +50,7 @@ def aim(place: str, target: Callable[..., Any], view: PhaseView) -> Pose:
         pose = target(view)
         if not isinstance(pose, Pose):
             raise TypeError(f"it returns {shown(pose)}, no Pose")
-        if not math.isfinite(float(pose.position.sum()) + float(pose.rotation.sum())):
+        if not math.isfinite(np.vdot(pose.position, pose.position) + np.vdot(pose.rotation, pose.rotation)):
             raise ValueError(f"it returns {shown(pose)}, which is not finite")
     except Exception as error:  # a task's own code: whatever it raises is told with its place
         raise ValueError(_told(place, "target", target, view, error)) from error

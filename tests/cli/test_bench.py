@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynaforge.cli import bench, bench_determinism, bench_limits, bench_speed, bench_training, bench_vector
+from dynaforge.cli import bench, bench_data, bench_determinism, bench_limits, bench_speed, bench_training, bench_vector
 from dynaforge.cli.bench_episodes import (
     Busy,
     TrajectoryHash,
@@ -25,7 +25,7 @@ from dynaforge.geometry import JointTrajectory, Pose
 from dynaforge.planning import ArmKinematics, CollisionModel, Obstacle
 from dynaforge.sim import SimScene
 from dynaforge.sim.robot import franka
-from dynaforge.tasks import get_task
+from dynaforge.tasks import TASK_NAMES, get_task
 
 CAN = get_task("can")
 
@@ -106,6 +106,47 @@ def test_finger_speed_is_measured_over_full_strokes_and_a_faster_motor_is_seen(m
 def test_zero_residual_equals_planner_only_bit_for_bit():
     (figure,) = bench_determinism.zero_residual(CAN, n=2)
     assert figure.ok, figure
+
+
+def test_bench_holds_where_fixtures_move_and_there_is_no_free_body():
+    clock = get_task("alarmclock")
+    (figure,) = bench_determinism.zero_residual(clock, n=1)
+    assert figure.ok, figure
+    (figure,) = bench_speed.control_rate(clock, rounds=1, n=1)
+    assert figure.raw["replays_astray"] == 0
+
+
+QUICK = {
+    "finger-speed": lambda task: bench_limits.finger_speed(task),
+    "zero-residual": lambda task: bench_determinism.zero_residual(task, n=2),
+    "one-trajectory": lambda task: bench_determinism.one_trajectory(task, n=1, sizes=(2,)),
+    "reset": lambda task: bench_speed.scene_reset(task, rounds=1, n=2),
+    "control-steps": lambda task: bench_speed.control_rate(task, rounds=1, n=2),
+    "vectorised": lambda task: bench_vector.vectorised(task, rounds=1, n_envs=2, n_steps=10),
+    "trainer": lambda task: bench_training.trainer(task, rounds=1),
+    "collection": lambda task: bench_training.collection(task, rounds=1),
+    "writing": lambda task: bench_data.writing(task, rounds=1),
+    "window": lambda task: bench_data.window(rounds=1),
+    "replay": lambda task: bench_data.replay(task),
+    "worker-killed": lambda task: bench_vector.worker_killed(task, rounds=1, n_envs=2),
+    "global-planner": lambda task: bench_limits.global_planner(task, n=2),
+}
+EXACT = ("zero-residual", "one-trajectory", "replay")  # whatever else runs on this machine
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", TASK_NAMES)
+def test_every_row_is_measured_on_every_task(name, monkeypatch):
+    assert set(QUICK) == set(bench.MEASUREMENTS) - bench.LONG
+    for constant, value in (("ATTEMPTS", 6), ("REPLAYED", 4), ("PACKED", 5), ("WINDOWS", 100)):
+        monkeypatch.setattr(bench_data, constant, value)
+    task = get_task(name)
+    for row, measure in QUICK.items():
+        for figure in measure(task):
+            assert figure.measured
+            assert figure.ok or row not in EXACT, figure
+            assert figure.raw.get("replays_astray", 0) == 0, figure
 
 
 def test_a_residual_of_a_nanometre_is_seen(monkeypatch):
