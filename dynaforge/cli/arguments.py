@@ -40,6 +40,13 @@ def _add_workers(parser: argparse.ArgumentParser, what: str = "processes") -> No
     )
 
 
+def _add_observations(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--observations", type=Existing("folder", holding="settings.json", otherwise="holds no observations"),
+        help="folder of `dynaforge render`; by default observations/ if there",
+    )  # fmt: skip
+
+
 def _add_stream(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument(
         "--stream", **one_of("stream", STREAMS), default=default,
@@ -197,12 +204,20 @@ def view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--limit", type=Whole(), default=40, help="recordings with clip and plots, spread over the difficulties"
     )
-    parser.add_argument("--no-clips", action="store_true", help="plots only, in a tenth of the time")
+    parser.add_argument("--no-clips", action="store_true", help="plots only, in a fiftieth of the time")
+    _add_observations(parser)
+    _add_workers(parser)
     parser.add_argument(
         "--viser", action="store_true", help="also a page with the scene in three dimensions, 1 MB a recording"
     )
     parser.add_argument("--rerun", action="store_true", help="also a .rrd file for Rerun's viewer, 0.5 MB a recording")
     parser.add_argument("--out", type=Written("file"), help="HTML file (default: view.html in the folder)")
+
+
+def check_view(options: argparse.Namespace) -> None:
+    """Refuse pictures that would not be shown."""
+    if options.no_clips and options.observations:
+        raise ValueError("--no-clips leaves out what --observations would show; give one of them.")
 
 
 def export(parser: argparse.ArgumentParser) -> None:
@@ -223,10 +238,7 @@ def export(parser: argparse.ArgumentParser) -> None:
         "--rotation", default=ROTATIONS[0], **one_of("rotation", ROTATIONS),
         help="of an end-effector pose: quaternion, or the first two columns of its matrix, which jump nowhere",
     )  # fmt: skip
-    parser.add_argument(
-        "--observations", type=Existing("folder", holding="settings.json", otherwise="holds no observations"),
-        help="folder of `dynaforge render`; by default observations/ if there",
-    )  # fmt: skip
+    _add_observations(parser)
     parser.add_argument("--no-observations", action="store_true", help="leave out what observations/ holds")
     parser.add_argument(
         "--depth", action="store_true",

@@ -92,6 +92,7 @@ COMMANDS = {
         "one HTML page to look through a folder of demonstrations: clips, plots, filters",
         ("view data/can", "view data/can --no-clips --limit 200 --out can.html"),
         add=arguments.view,
+        check=arguments.check_view,
     ),
     "export": Command(
         "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",

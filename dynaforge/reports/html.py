@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -94,6 +95,17 @@ def render(template: str, **values: Any) -> str:
         percent=_percent, points=_points, gain=describe_gain, image_url=_image_url, video_url=_video_url
     )
     return str(environment.from_string(template).render(style=load_extra("markupsafe").Markup(STYLE), **values))
+
+
+def script_data(value: Any) -> Any:
+    """Return plain data as a JavaScript literal that is safe inside a script element, whatever its strings say.
+
+    Raises:
+        ImportError: MarkupSafe, of the `[report]` extra, is missing.
+        ValueError: A number is infinite or NaN.
+    """
+    # "</script>" would end the element, "<!--" and "<script" would keep its end from being seen.
+    return load_extra("markupsafe").Markup(json.dumps(value, allow_nan=False).replace("<", "\\u003c"))
 
 
 def write_report(path: str | Path, data: ReportData) -> None:

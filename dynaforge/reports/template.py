@@ -4,10 +4,10 @@ from __future__ import annotations
 
 STYLE = """
 :root { --page:#f6f7f9; --card:#fff; --ink:#111827; --soft:#5b6472; --line:#e2e5ea; --accent:#0072b2;
-  --good:#00724f; --bad:#b24a00; color-scheme: light dark; }
+  --good:#00724f; --bad:#b24a00; --on-accent:#fff; color-scheme: light dark; }
 @media (prefers-color-scheme: dark) {
   :root { --page:#0f1318; --card:#181d24; --ink:#e8ebf0; --soft:#9aa4b2; --line:#2b323c; --accent:#5ab4e8;
-    --good:#3fcf9f; --bad:#ff9a52; } }
+    --good:#3fcf9f; --bad:#ff9a52; --on-accent:#0f1318; } }
 * { box-sizing:border-box; }
 body { margin:0; background:var(--page); color:var(--ink);
   font:16px/1.55 system-ui,-apple-system,"Segoe UI",sans-serif; }
@@ -42,6 +42,8 @@ HEAD = """<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; media-src blob: data:; \
+style-src 'unsafe-inline'; script-src 'unsafe-inline'">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
 <title>{{ title }}</title>

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos import Attempt, Episode, atomic_write
-from dynaforge.demos.observations import ObservationRenderer, ObservationSettings, standard_cameras
-from dynaforge.reports.html import render
-from dynaforge.reports.video import encode_mp4
+from dynaforge.reports.html import render, script_data
+from dynaforge.reports.viewer_clips import EVERY, Filmer, Shown
+from dynaforge.reports.viewer_summary import STRATA, strata, summarise
 from dynaforge.reports.viewer_template import VIEWER
 from dynaforge.tasks import Task
 
-SIZE = (320, 240)  # pixels of a clip
-STRATA = 8
+__all__ = ["Filmer", "Shown", "write_viewer"]
+
 PLOTS = (
     ("end effector, m", "ee_position", ("x", "y", "z")),
     ("joints, rad", "q", tuple(f"joint {k}" for k in range(1, 8))),
@@ -31,48 +29,9 @@ PLOTS = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """A recording on the page.
-
-    Attributes:
-        episode: Which.
-        clip: MP4 bytes, or None.
-        scenes: Files of it in three dimensions, relative to the page, by what the link says.
-    """
-
-    episode: Episode
-    clip: bytes | None = None
-    scenes: Mapping[str, str] = field(default_factory=dict)
-
-
-class Filmer:
-    """Makes the clip of an episode from its replay.
-
-    Args:
-        task: The task.
-    """
-
-    def __init__(self, task: Task) -> None:
-        camera = replace(standard_cameras(task)["front"], size=SIZE)
-        self._renderer = ObservationRenderer(task, ObservationSettings((camera,)))
-        self._fps = task.scene.fps
-
-    def film(self, episode: Episode) -> bytes:
-        """Return it as MP4, one picture a control step.
-
-        Raises:
-            ValueError: The episode cannot be simulated again.
-        """
-        return encode_mp4(self._renderer.render(episode)["front/rgb"], fps=self._fps, quality=28)
-
-    def close(self) -> None:
-        """Release physics."""
-        self._renderer.close()
-
-
 def write_viewer(
-    path: Path, task: Task, attempts: Sequence[Attempt], episodes: Iterable[Shown], *, title: str
+    path: Path, task: Task, attempts: Sequence[Attempt], episodes: Iterable[Shown], *, title: str,
+    recorded: Collection[str] = (),
 ) -> None:  # fmt: skip
     """Write the page, whole or not at all.
 
@@ -82,27 +41,59 @@ def write_viewer(
         attempts: All of them; those without a recording are listed with their reason.
         episodes: Recordings to show.
         title: Headline.
+        recorded: Ids of the recordings that the dataset holds, shown or not.
     """
-    rows: dict[str, dict[str, Any]] = {
-        a.id: {
-            "id": a.id, "ok": a.success, "failure": a.failure, "difficulty": round(a.difficulty, 4),
-            "stratum": task.conditions.stratum(a.difficulty, STRATA), "generator": a.generator, "phase": a.phase,
-            "duration": round(a.duration, 2),
-        }
-        for a in attempts
-    }  # fmt: skip
+    rows = {attempt.id: _row(task, attempt, recorded) for attempt in attempts}
     for shown in episodes:
-        if shown.episode.id in rows and len(shown.episode):
-            rows[shown.episode.id] |= _recording(shown)
+        if shown.id in rows:
+            rows[shown.id] |= {"note": shown.note}
+            if shown.episode is not None and len(shown.episode):
+                rows[shown.id] |= _recording(shown, shown.episode)
     listed = sorted(rows.values(), key=lambda row: ("time" not in row, row["difficulty"]))
-    # "</" inside a string would end the script element
-    data = json.dumps(listed, allow_nan=False).replace("</", "<\\/")
-    text = render(VIEWER, title=title, task=task, n=len(listed), strata=STRATA)
-    atomic_write(path, text.replace("/*DATA*/null", data).encode())
+    unit = task.conditions.units.get(task.conditions.difficulty, "")
+    page = {
+        "title": title, "task": task.name, "unit": unit,
+        "phases": task.n_checkpoints, "picture": EVERY * task.scene.control_dt, "summary": summarise(task, attempts),
+    }  # fmt: skip
+    generators = sorted({attempt.generator for attempt in attempts})
+    text = render(
+        VIEWER, title=title, task=task, n=len(listed), strata=strata(task), generators=generators,
+        page=script_data(page), episodes=script_data(listed),
+    )  # fmt: skip
+    atomic_write(path, text.encode(errors="replace"))  # a folder's name may be no text
 
 
-def _recording(shown: Shown) -> dict[str, Any]:
-    episode, clip = shown.episode, shown.clip
+def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, Any]:
+    units = task.conditions.units
+    return {
+        "id": attempt.id, "ok": attempt.success, "failure": attempt.failure, "difficulty": round(attempt.difficulty, 4),
+        "stratum": task.conditions.stratum(attempt.difficulty, STRATA), "generator": attempt.generator,
+        "phase": attempt.phase, "checkpoint": attempt.checkpoint, "duration": round(attempt.duration, 2),
+        "values": [
+            [name, round(value, 4), units.get(name, "")] for name, value in sorted(attempt.condition.values.items())
+        ],
+        "note": _why_not_shown(task, attempt, recorded),
+    }  # fmt: skip
+
+
+def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> str:
+    if attempt.id in recorded:
+        return (
+            "Its recording is in the folder, but this page shows a selection. "
+            f"`dynaforge view --limit {len(recorded)}` makes a page of all recordings."
+        )
+    if attempt.success or attempt.recorded:
+        return "Its recording was kept, but it is gone from the folder. `dynaforge collect`, as before, makes it again."
+    if not attempt.phase:
+        return "This attempt ended before there was anything to record."
+    return (
+        "The recording of this failure was not kept, since `dynaforge collect` keeps those of successes only. "
+        f"`dynaforge collect --task {task.name} --keep-failures --out NEW_FOLDER` attempts the same conditions "
+        "and keeps failures too."
+    )
+
+
+def _recording(shown: Shown, episode: Episode) -> dict[str, Any]:
     steps = episode.steps
     plots = []
     for title, names, labels in PLOTS:
@@ -116,7 +107,7 @@ def _recording(shown: Shown) -> dict[str, Any]:
             plots.append({"title": f"{name}, m", "labels": ("x", "y", "z"), "lines": _rounded(steps[key].T)})
     phases = steps["phase"] if "phase" in steps else np.zeros(len(episode), dtype=int)
     starts = np.flatnonzero(np.diff(phases, prepend=phases[0] - 1))
-    phase_names = list(episode.meta.get("phases", []))
+    phase_names = [str(name) for name in episode.meta.get("phases", [])]
     return {
         "time": _rounded(steps["time"]),
         "plots": plots,
@@ -127,12 +118,16 @@ def _recording(shown: Shown) -> dict[str, Any]:
             }
             for k in starts.tolist()
         ],
-        "contact": episode.meta.get("contact_time"),
-        "planned": episode.meta.get("planned_contact_time"),
-        "values": {name: round(value, 4) for name, value in episode.condition.values.items()},
+        "contact": _time(episode.meta.get("contact_time")),
+        "planned": _time(episode.meta.get("planned_contact_time")),
         "scenes": dict(shown.scenes),
-        "clip": base64.b64encode(clip).decode() if clip else None,
+        "clip": base64.b64encode(shown.clip).decode() if shown.clip else None,
+        "views": [[name, base64.b64encode(film).decode()] for name, film in shown.views.items()],
     }
+
+
+def _time(noted: object) -> float | None:
+    return float(noted) if isinstance(noted, int | float) else None
 
 
 def _rounded(array: NDArray[Any]) -> Any:

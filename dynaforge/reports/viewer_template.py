@@ -1,148 +1,122 @@
-"""The page of `dynaforge view`: a list with filters, a clip, plots that follow it; nothing from outside the file."""
+"""The page of `dynaforge view`: a list with filters, films, plots that follow, a summary; nothing from outside."""
 
 from __future__ import annotations
 
 from dynaforge.reports.template import HEAD, WIDE
+from dynaforge.reports.viewer_script import SCRIPT
+
+VIEWER_STYLE = """
+h1 { overflow-wrap:anywhere; }
+.two { display:grid; grid-template-columns:minmax(260px,340px) minmax(0,1fr); gap:16px; align-items:start; }
+.side { position:sticky; top:16px; }
+[hidden] { display:none !important; }
+select,input,button { font:inherit; color:inherit; background:var(--card); border:1px solid var(--line);
+  border-radius:8px; padding:5px 10px; max-width:100%; }
+button { cursor:pointer; } button[aria-disabled=true] { opacity:.45; cursor:default; }
+:focus-visible { outline:2px solid var(--accent); outline-offset:1px; }
+kbd { font:.8rem ui-monospace,Menlo,Consolas,monospace; border:1px solid var(--line); border-radius:4px;
+  padding:0 5px; background:var(--card); color:var(--ink); }
+.keys { display:flex; flex-wrap:wrap; gap:2px 14px; }
+[role=tablist] { display:flex; flex-wrap:wrap; gap:4px; }
+[role=tab][aria-selected=true] { background:var(--accent); border-color:var(--accent); color:var(--on-accent); }
+.filters { display:flex; flex-wrap:wrap; gap:8px; margin:0 0 8px; }
+.filters > * { flex:1 1 130px; min-width:0; } .filters input { flex-basis:100%; }
+#list { list-style:none; margin:0; max-height:max(220px,100vh - 250px); overflow:auto; padding:4px; }
+#list button { display:block; width:100%; text-align:left; border:0; padding:6px 10px; background:none; }
+#list button:hover { background:var(--page); }
+#list button:focus-visible { outline-offset:-2px; }
+#list button[aria-current=true] { background:var(--page); box-shadow:inset 3px 0 var(--accent); }
+#list small { color:var(--soft); display:block; } #list span { display:-webkit-box; overflow:hidden;
+  -webkit-box-orient:vertical; -webkit-line-clamp:2; overflow-wrap:anywhere; }
+.empty { color:var(--soft); padding:12px; } .empty button { display:inline-block !important; width:auto !important;
+  border:1px solid var(--line) !important; margin-top:8px; }
+.bar { display:flex; align-items:center; gap:8px; margin:0 0 12px; }
+.bar h2 { flex:1; margin:0; min-width:0; overflow-wrap:anywhere; } .bar h2:focus { outline:none; }
+#toList { display:none; } #place { white-space:nowrap; } .keys { margin:10px 0 14px; } #views { margin-bottom:10px; }
+.note { border-left:3px solid var(--accent); padding:2px 0 2px 12px; }
+#clip { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr)); gap:16px; }
+#clip video { aspect-ratio:4/3; object-fit:contain; margin-top:8px; } #clip [role=tablist] + video { margin-top:8px; }
+#clip > div:first-child > video:first-child { margin-top:0; }
+.facts { columns:2 250px; column-gap:24px; } .facts div { display:flex; gap:12px; break-inside:avoid; padding:2px 0;
+  font-size:.9rem; } .facts dt { flex:0 0 8.5em; } dl.facts { display:block; }
+.plots { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,340px),1fr)); gap:16px; }
+.plots .card, .charts .card { margin:0; } .plots svg, .charts svg { width:100%; height:auto; display:block; }
+.plots b { font-size:.9rem; } svg text { fill:var(--soft); font-size:11px; } .plots svg { cursor:crosshair; }
+.key { font-size:.8rem; color:var(--soft); }
+.key i { display:inline-block; width:12px; height:3px; margin:0 4px 3px 10px; } .key i:first-child { margin-left:0; }
+.charts { display:grid; grid-template-columns:repeat(auto-fit,minmax(min(100%,480px),1fr)); gap:16px; }
+.charts h2 { margin:0 0 10px; } .charts p { margin:8px 0 0; } .wide { grid-column:1/-1; }
+.reason { display:grid; grid-template-columns:minmax(0,16em) 1fr 3.5em; gap:10px; align-items:center; width:100%;
+  text-align:left; border:0; padding:5px 6px; } .reason span { overflow-wrap:anywhere; }
+.reason:hover { background:var(--page); } .reason i { display:block; height:14px; min-width:2px; border-radius:3px;
+  background:var(--bad); } .reason b { text-align:right; font-variant-numeric:tabular-nums; }
+@media (max-width:800px) {
+  main { padding:16px 12px 48px; } h1 { font-size:1.35rem; }
+  .two { grid-template-columns:minmax(0,1fr); } .side { position:static; } #list { max-height:45vh; }
+  #detail { min-height:100vh; }
+  .bar { position:sticky; top:0; z-index:2; background:var(--page); padding:8px 0; } #toList { display:block; }
+  .card { padding:12px; } .keys, #place { display:none; } .bar h2 { font-size:1rem; } .bar button { padding:5px 8px; }
+  .reason { grid-template-columns:minmax(0,9em) 1fr 3em; }
+  .charts table { font-size:.85rem; } .charts th, .charts td { padding:6px 5px; }
+}
+"""
 
 VIEWER = (
     HEAD.replace("<main>", WIDE)
-    + """<style>
-.two { display:grid; grid-template-columns:minmax(260px,340px) 1fr; gap:16px; align-items:start; }
-@media (max-width:800px) { .two { grid-template-columns:1fr; } }
-.filters { display:flex; flex-wrap:wrap; gap:8px; margin:0 0 8px; }
-select,input,button { font:inherit; color:inherit; background:var(--card); border:1px solid var(--line);
-  border-radius:8px; padding:4px 8px; } input { flex:1; min-width:80px; }
-#list { max-height:75vh; overflow:auto; padding:4px; }
-#list button { display:block; width:100%; text-align:left; border:0; border-radius:8px; padding:6px 10px;
-  cursor:pointer; }
-#list button[aria-current=true] { outline:2px solid var(--accent); } #list small { color:var(--soft); }
-.plots { display:grid; grid-template-columns:repeat(auto-fit,minmax(340px,1fr)); gap:12px; margin-top:16px; }
-.plots svg { width:100%; height:auto; display:block; } .plots b { font-size:.9rem; }
-svg text { fill:var(--soft); font-size:11px; }
-.key { font-size:.8rem; color:var(--soft); }
-.key i { display:inline-block; width:12px; height:3px; margin:0 4px 3px 10px; }
-#clip { display:flex; flex-wrap:wrap; gap:16px; } #clip video { width:min(100%,400px); }
-</style>
+    + "<style>"
+    + VIEWER_STYLE
+    + """</style>
 <h1>{{ title }}</h1>
-<p class="soft">{{ task.motion }} {{ task.goal }} {{ n }} attempts; those shown come first.</p>
-<div class="two">
-<section aria-label="episodes">
+<p class="soft">{{ task.motion }} {{ task.goal }} {{ n }} attempt{{ "" if n == 1 else "s" }}.</p>
+<div role="tablist" aria-label="what to look at" id="views">
+<button role="tab" id="tab-episodes" aria-controls="panel-episodes" aria-keyshortcuts="e">Episodes</button>
+<button role="tab" id="tab-summary" aria-controls="panel-summary" aria-keyshortcuts="s">Summary</button>
+</div>
+<p class="soft keys" aria-label="keys">
+<span><kbd>n</kbd> next</span><span><kbd>p</kbd> previous</span><span><kbd>k</kbd> play or pause</span>
+<span><kbd>,</kbd> <kbd>.</kbd> a picture back or ahead</span><span><kbd>/</kbd> search</span>
+<span><kbd>e</kbd> episodes</span><span><kbd>s</kbd> summary</span>
+<span><kbd>↑</kbd> <kbd>↓</kbd> within the list</span>
+</p>
+<div class="two" id="panel-episodes" role="tabpanel" aria-labelledby="tab-episodes">
+<section class="side" aria-label="list of episodes">
 <div class="filters">
 <select id="outcome" aria-label="outcome"><option value="">all outcomes</option><option value="ok">successes</option>
-<option value="bad">failures</option></select>
+<option value="bad">failures</option><option value="shown">with a recording here</option></select>
 <select id="stratum" aria-label="difficulty"><option value="">all difficulties</option>
-{% for k in range(strata) %}<option value="{{ k }}">bin {{ k + 1 }} of {{ strata }}</option>
+{% for name in strata %}<option value="{{ loop.index0 }}">{{ name }}</option>
 {% endfor %}</select>
-<input id="words" placeholder="reason or id" aria-label="reason or id">
+{% if generators | length > 1 %}<select id="generator" aria-label="generator"><option value="">all generators</option>
+{% for name in generators %}<option value="{{ name }}">{{ name }}</option>
+{% endfor %}</select>
+{% endif %}
+<input id="words" type="search" placeholder="reason, phase or id" aria-label="reason, phase or id"
+aria-keyshortcuts="/">
 </div>
-<p class="soft" id="count"></p>
-<div class="card" id="list"></div>
+<p class="soft" id="count" role="status"></p>
+<ul class="card" id="list" aria-label="episodes"></ul>
 </section>
-<section aria-label="episode" id="detail"></section>
+<section aria-label="episode" id="detail">
+<div class="bar" id="bar">
+<h2 id="heading" tabindex="-1" aria-live="polite"></h2>
+<span class="soft" id="place"></span>
+<button id="toList" title="back to the list">List</button>
+<button id="previous" aria-keyshortcuts="p" title="previous (p)" aria-label="previous episode">‹ Previous</button>
+<button id="next" aria-keyshortcuts="n" title="next (n)" aria-label="next episode">Next ›</button>
 </div>
+<div id="content"></div>
+</section>
+</div>
+<div id="panel-summary" role="tabpanel" aria-labelledby="tab-summary" class="charts" hidden></div>
+<noscript><p>This page needs JavaScript to show its {{ n }} attempts; it loads nothing from elsewhere.</p></noscript>
 </main>
 <script>
 "use strict";
-const EPISODES = /*DATA*/null;
-const COLORS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#000000"];
-const get = id => document.getElementById(id);
-const make = (tag, props = {}, ...inside) => {
-  const node = Object.assign(document.createElement(tag), props);
-  node.append(...inside);
-  return node;
-};
-const draw = (tag, attributes, parent) => {
-  const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
-  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
-  parent.append(node);
-  return node;
-};
-let current = null, cursors = [], video = null;
-
-function visible(e) {
-  const outcome = get("outcome").value, stratum = get("stratum").value, words = get("words").value.toLowerCase();
-  return (!outcome || (outcome === "ok") === e.ok) && (stratum === "" || e.stratum === Number(stratum))
-    && (!words || (e.id + " " + e.failure + " " + e.phase).toLowerCase().includes(words));
-}
-
-function list() {
-  const shown = EPISODES.filter(visible);
-  get("count").textContent = `${shown.length} of ${EPISODES.length} attempts, ` +
-    `${shown.filter(e => e.ok).length} successes`;
-  get("list").replaceChildren(...shown.slice(0, 1000).map(e => {
-    const row = make("button", {onclick: () => show(e)},
-      make("span", {className: e.ok ? "good" : "bad"}, e.ok ? "✓ success" : "✗ " + e.failure), make("br"),
-      make("small", {}, `difficulty ${e.difficulty}, ${e.duration} s${e.time ? "" : ", not shown"}`));
-    row.setAttribute("aria-current", e === current);
-    return row;
-  }));
-}
-
-function show(e) {
-  current = e; cursors = []; video = null;
-  const facts = make("dl");
-  const told = {id: e.id, generator: e.generator, "ended in": e.phase, difficulty: e.difficulty,
-    "planned contact": e.planned == null ? "–" : e.planned.toFixed(2) + " s",
-    "first contact": e.contact == null ? "–" : e.contact.toFixed(2) + " s", ...(e.values || {})};
-  for (const [name, value] of Object.entries(told)) facts.append(make("dt", {}, name), make("dd", {}, String(value)));
-  for (const [name, path] of Object.entries(e.scenes || {}))
-    facts.append(make("dt", {}, name), make("dd", {}, make("a", {href: path, target: "_blank"}, "open")));
-  const top = make("div", {id: "clip", className: "card"});
-  if (e.clip) {
-    video = make("video", {src: "data:video/mp4;base64," + e.clip, controls: true, loop: true, muted: true,
-      autoplay: true, playsInline: true});
-    top.append(video);
-  }
-  top.append(facts);
-  const plots = make("div", {className: "plots"});
-  for (const plot of e.plots || []) plots.append(figure(e, plot));
-  get("detail").replaceChildren(top, plots);
-  list();
-}
-
-function figure(e, plot) {
-  const W = 420, H = 190, L = 46, B = 22, T = 16, end = e.time[e.time.length - 1] || 1;
-  const all = plot.lines.flat(), low = Math.min(...all), high = Math.max(...all), pad = (high - low || 1) * 0.05;
-  const x = t => L + (W - L - 6) * t / end;
-  const y = v => H - B - (H - B - T) * (v - low + pad) / (high - low + 2 * pad || 1);
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("viewBox", `0 0 ${W} ${H}`);
-  e.phases.forEach((phase, k) => {
-    const to = k + 1 < e.phases.length ? e.phases[k + 1].from : end;
-    draw("rect", {x: x(phase.from), y: T, width: Math.max(0, x(to) - x(phase.from)), height: H - B - T,
-      fill: "var(--accent)", opacity: k % 2 ? 0.14 : 0.05}, svg);
-    if (x(to) - x(phase.from) > 7 * phase.name.length)
-      draw("text", {x: x(phase.from) + 3, y: T - 4}, svg).textContent = phase.name;
-  });
-  for (const value of [low, high]) draw("text", {x: 2, y: y(value) + 4}, svg).textContent = value.toPrecision(3);
-  draw("text", {x: W - 40, y: H - 6}, svg).textContent = end.toFixed(1) + " s";
-  plot.lines.forEach((line, k) => draw("polyline", {fill: "none", stroke: COLORS[k % 8], "stroke-width": 1.5,
-    points: line.map((v, i) => `${x(e.time[i]).toFixed(1)},${y(v).toFixed(1)}`).join(" ")}, svg));
-  for (const [time, dash] of [[e.planned, "5 4"], [e.contact, ""]])
-    if (time != null) draw("line", {x1: x(time), x2: x(time), y1: T, y2: H - B, stroke: "var(--bad)",
-      "stroke-dasharray": dash}, svg);
-  const cursor = draw("line", {y1: T, y2: H - B, x1: L, x2: L, stroke: "var(--ink)", opacity: 0.6}, svg);
-  cursors.push(t => { cursor.setAttribute("x1", x(t)); cursor.setAttribute("x2", x(t)); });
-  svg.onclick = event => {
-    const box = svg.getBoundingClientRect(), at = (event.clientX - box.left) / box.width * W;
-    const t = Math.min(end, Math.max(0, (at - L) / (W - L - 6) * end));
-    if (video) { video.pause(); video.currentTime = t; }
-    cursors.forEach(move => move(t));
-  };
-  const key = make("div", {className: "key"});
-  plot.labels.forEach((label, k) => key.append(make("i", {style: `background:${COLORS[k % 8]}`}), label));
-  return make("div", {className: "card"}, make("b", {}, plot.title), svg, key);
-}
-
-function follow() {
-  if (video && !video.paused) cursors.forEach(move => move(video.currentTime));
-  requestAnimationFrame(follow);
-}
-for (const id of ["outcome", "stratum", "words"]) get(id).addEventListener("input", list);
-list();
-if (EPISODES.length && EPISODES[0].time) show(EPISODES[0]);
-follow();
-</script>
+const PAGE = {{ page }};
+const EPISODES = {{ episodes }};
+"""
+    + SCRIPT
+    + """</script>
 </body>
 </html>
 """

@@ -1,0 +1,76 @@
+"""The films of the page: an episode simulated again with the robot's own meshes, and what its cameras saw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from dynaforge.demos import Episode
+from dynaforge.demos.observations import ObservationFolder
+from dynaforge.demos.replay import Replayer
+from dynaforge.envs.rendering import Renderer
+from dynaforge.reports.video import encode_mp4
+from dynaforge.tasks import Task
+
+EVERY = 2  # control steps from picture to picture, as in the clips of a report
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A recording on the page.
+
+    Attributes:
+        id: Which.
+        episode: The recording; None where it cannot be read.
+        clip: MP4 bytes, or None.
+        views: MP4 bytes of what its cameras saw, by their name.
+        scenes: Files of it in three dimensions, as links relative to the page, by what the link says.
+        note: What is amiss, in sentences.
+    """
+
+    id: str
+    episode: Episode | None
+    clip: bytes | None = None
+    views: Mapping[str, bytes] = field(default_factory=dict)
+    scenes: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""
+
+
+class Filmer:
+    """Makes the clip of an episode from its replay, at true speed and as the clips of a report look.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._replayer = Replayer(task, visuals=True)
+        self._renderer = Renderer(self._replayer.scene, task.camera)
+        self._fps = 1 / (EVERY * task.scene.control_dt)
+
+    def film(self, episode: Episode) -> bytes:
+        """Return it as MP4.
+
+        Raises:
+            ValueError: The episode cannot be simulated again.
+        """
+        states = enumerate(self._replayer.recorded_states(episode))
+        return encode_mp4([self._renderer.image() for step, _ in states if step % EVERY == 0], fps=self._fps)
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self._replayer.close()
+
+
+def camera_films(observations: ObservationFolder, episode: Episode, *, control_dt: float) -> dict[str, bytes]:
+    """Return what each camera saw of an episode as MP4, a picture a control step; none where no picture was kept.
+
+    Raises:
+        FileNotFoundError, DamagedFileError: As `ObservationFolder.of`.
+        ValueError: The pictures are none.
+    """
+    if not observations.settings.images:
+        return {}
+    arrays = observations.of(episode)
+    names = [camera.name for camera in observations.settings.cameras]
+    return {name: encode_mp4(arrays[f"{name}/rgb"], fps=1 / control_dt) for name in names if f"{name}/rgb" in arrays}
