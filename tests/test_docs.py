@@ -120,7 +120,7 @@ def test_the_page_on_datasets_reads_what_its_commands_make(
     for block in shown:
         exec(block, names)
     printed = capsys.readouterr().out
-    assert "(2, 64, 3) (16, 8)" in printed, "the pack's windows"
+    assert "(2, 64, 3) (16, 9)" in printed, "the pack's windows"
 
 
 def test_the_page_on_datasets_holds_the_schema() -> None:

@@ -223,7 +223,7 @@ def check_view(options: argparse.Namespace) -> None:
 def export(parser: argparse.ArgumentParser) -> None:
     """Add the options of `export`."""
     from dynaforge.demos.exporters import FORMATS
-    from dynaforge.demos.exporters.frames import ACTIONS, ROTATIONS
+    from dynaforge.tasks.action import ACTION_MODES, ROTATIONS
 
     on_dataset(parser)
     parser.add_argument(
@@ -231,12 +231,16 @@ def export(parser: argparse.ArgumentParser) -> None:
         help="; ".join(f"{name}: {text}" for name, text in FORMATS.items()),
     )  # fmt: skip
     parser.add_argument(
-        "--actions", default="ee", **one_of("action", ACTIONS),
+        "--actions", default="ee", **one_of("action", ACTION_MODES),
         help="end-effector pose or joint positions, and width",
     )  # fmt: skip
     parser.add_argument(
-        "--rotation", default=ROTATIONS[0], **one_of("rotation", ROTATIONS),
-        help="of an end-effector pose: quaternion, or the first two columns of its matrix, which jump nowhere",
+        "--rotation", default="quat_wxyz", **one_of("rotation", ROTATIONS),
+        help="of an end-effector pose: quaternion, two columns of its matrix, which jump nowhere, or rotation vector",
+    )  # fmt: skip
+    parser.add_argument(
+        "--no-elbow", action="store_true",
+        help="end-effector actions without the third joint's angle; fast motions are then not met exactly",
     )  # fmt: skip
     _add_observations(parser)
     parser.add_argument("--no-observations", action="store_true", help="leave out what observations/ holds")
@@ -260,6 +264,8 @@ def check_export(options: argparse.Namespace) -> None:
         raise ValueError("--observations names what --no-observations leaves out; give one of the two.")
     if options.actions == "joint" and options.rotation != "quat_wxyz":
         raise ValueError(f"--rotation {options.rotation} belongs to --actions ee; joint positions have no rotation.")
+    if options.actions == "joint" and options.no_elbow:
+        raise ValueError("--no-elbow belongs to --actions ee; joint positions settle the elbow.")
 
 
 def verify(parser: argparse.ArgumentParser) -> None:

@@ -32,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
         fps=task.scene.fps,
         actions=options.actions,
         rotation=options.rotation,
+        elbow=not options.no_elbow,
         observations=observations,
         depth=options.depth or options.format != "lerobot",
         privileged=True if options.privileged else None,

@@ -10,9 +10,9 @@ import numpy as np
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
-from dynaforge.demos.exporters.frames import ACTION_NAMES
 from dynaforge.evaluation import DgrReport
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import ActionLayout
 
 PARTS = 16  # of a condition's range
 RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
@@ -53,7 +53,7 @@ def actions(episodes: Sequence[Episode]) -> str:
     rows = np.concatenate(given)
     lines = [
         f"  {name:<11} {low:+.3f} to {high:+.3f}"
-        for name, low, high in zip(ACTION_NAMES["ee"], rows.min(axis=0), rows.max(axis=0), strict=False)
+        for name, low, high in zip(ActionLayout().names, rows.min(axis=0), rows.max(axis=0), strict=False)
     ]
     return "actions, target pose in the base frame and width (m):\n" + "\n".join(lines)
 

@@ -80,14 +80,13 @@ class TargetFollower:
         return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
 
     def _solve(self, target: Pose, elbow: float | None) -> Array:
-        now = self._reference
-        if elbow is None:
+        if elbow is None:  # from where the target was and not from the arm: its lag must not bend the solution
             return self.kinematics.solve(
-                target, now.q, max_iterations=MAX_ITERATIONS, position_tolerance=TOLERANCE,
+                target, self._target, max_iterations=MAX_ITERATIONS, position_tolerance=TOLERANCE,
                 rotation_tolerance=TOLERANCE,
             ).q  # fmt: skip
         # Two configurations can share pose and elbow, and meet where q[ELBOW] turns back: the motion goes on through.
-        ahead = now.q + now.dq * self.dt
+        ahead = self._reference.q + self._reference.dq * self.dt
         return self.kinematics.solve_at_elbow(target, elbow, ahead, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
 
     def _advance(self, target: Array, width: float) -> JointReference:

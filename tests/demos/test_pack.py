@@ -9,6 +9,7 @@ from demo_episodes import make_episode
 
 from dynaforge.demos.exporters import Frames
 from dynaforge.demos.pack import Pack
+from dynaforge.tasks.action import ActionLayout
 
 
 def frames(k: int, n: int, *, points: bool = True) -> Frames:
@@ -17,8 +18,8 @@ def frames(k: int, n: int, *, points: bool = True) -> Frames:
     robot = {"ee_position": label, "ee_quat_wxyz": label, "width": label, "q": label, "dq": label}
     cloud = np.repeat(label[:, None], 3, axis=2) if points else None
     return Frames(
-        id=str(k), success=True, fps=30, robot=robot, objects={}, privileged=False, actions=label, action_names=("a",),
-        action_mode="joint", rotation="", rewards=label[:, 0], phase=np.full(n, k), gate=np.ones(n, dtype=bool),
+        id=str(k), success=True, fps=30, robot=robot, objects={}, privileged=False, actions=label,
+        layout=ActionLayout("joint"), rewards=label[:, 0], phase=np.full(n, k), gate=np.ones(n, dtype=bool),
         contact=np.zeros((n, 2), dtype=bool), images={}, depths={}, points=cloud, point_colors=None,
         episode=make_episode(k),
     )  # fmt: skip
@@ -40,8 +41,8 @@ def test_a_pack_is_replaced_as_a_whole(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="render again"):
         Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 4, points=False)])
     assert len(Pack(tmp_path / "pack")) == 4, "what was there is kept"
-    assert len(Pack.write(tmp_path / "pack", [replace(frames(3, 5), action_names=("b",))])) == 5
-    assert Pack(tmp_path / "pack").action_names == ("b",)
+    assert len(Pack.write(tmp_path / "pack", [replace(frames(3, 5), layout=ActionLayout())])) == 5
+    assert Pack(tmp_path / "pack").action_names == ActionLayout().names
     with pytest.raises(FileNotFoundError, match="no pack"):
         Pack(tmp_path)
     with pytest.raises(ValueError, match="no demonstration"):

@@ -11,8 +11,9 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Frames, env_of
+from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Frames, env_of
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import JOINTS
 
 FOLDER = "demos.zarr"
 ROWS = 100  # control steps a chunk
@@ -75,4 +76,4 @@ def _describe(root: Any, task: Task, episode: Frames) -> None:
     for name, components in names.items():
         root["data"][name].attrs["names"] = list(components)
     root.attrs["instruction"] = task.instruction
-    root.attrs["env"] = {"id": env_of(task), **episode.env_arguments(task)}
+    root.attrs["env"] = {"id": env_of(task), **episode.env_arguments}

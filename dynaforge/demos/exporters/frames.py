@@ -15,20 +15,14 @@ from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import DamagedFileError
 from dynaforge.demos.observations import ObservationFolder
-from dynaforge.geometry import Array, matrix_from_quat, rotation_6d_from_matrix
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import ACTION_MODES, JOINTS, ROTATIONS, ActionLayout, without_jumps
 
 Floats = NDArray[np.float32]
-ACTIONS = ("ee", "joint")
-ROTATIONS = ("quat_wxyz", "rotation_6d")
 STATE = ("ee_position", "ee_quat_wxyz", "width", "q")
 AXES = ("x", "y", "z")
-QUAT = ("qw", "qx", "qy", "qz")
-SIX = ("r1x", "r1y", "r1z", "r2x", "r2y", "r2z")
-POSE = (*AXES, *QUAT)
-JOINTS = tuple(f"joint_{k}" for k in range(1, 8))
-STATE_NAMES = (*POSE, "width", *JOINTS)
-ACTION_NAMES = {"ee": (*POSE, "width"), "joint": (*JOINTS, "width")}
+QUAT = ROTATIONS["quat_wxyz"]
+STATE_NAMES = (*AXES, *QUAT, "width", *JOINTS)
 CONTACTS = ("left", "right")
 ROBOT_NAMES = {"ee_position": AXES, "ee_quat_wxyz": QUAT, "width": ("width",), "q": JOINTS, "dq": JOINTS}
 """Names of the components of each quantity in `Frames.robot`."""
@@ -46,12 +40,8 @@ class Frames:
         objects: `<name>_position`, `<name>_quat_wxyz`, `<name>_velocity`, `<name>_angular_velocity`, float32: the
             truth, which no sensor tells so well.
         privileged: Whether an export holds the truth about objects.
-        actions: What the controller was asked for, float32: target pose of the end effector in the base frame
-            (position, then rotation) and gripper width, or joint positions and gripper width.
-        action_names: Of its components.
-        action_mode: "ee" or "joint".
-        rotation: Of an "ee" action: "quat_wxyz" (w, x, y, z), or "rotation_6d", the first two columns of the rotation
-            matrix one after the other, which jumps nowhere.
+        actions: Where the controller was asked to be at the end of the control step, float32.
+        layout: Which numbers an action consists of.
         rewards: float32.
         phase: Index of the phase that acted, int64; -1 where no phase program did.
         gate: The residual gate m, bool.
@@ -71,9 +61,7 @@ class Frames:
     objects: Mapping[str, Floats]
     privileged: bool
     actions: Floats
-    action_names: tuple[str, ...]
-    action_mode: str
-    rotation: str
+    layout: ActionLayout
     rewards: Floats
     phase: NDArray[np.int64]
     gate: NDArray[np.bool_]
@@ -86,6 +74,11 @@ class Frames:
 
     def __len__(self) -> int:
         return len(self.actions)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the components of an action."""
+        return self.layout.names
 
     @property
     def state(self) -> Floats:
@@ -102,9 +95,13 @@ class Frames:
         """Names of the components of `object_state`, e.g. "can_position_x"."""
         return [f"{key}_{axis}" for key in self.objects for axis in axes_of(key)]
 
-    def env_arguments(self, task: Task) -> dict[str, str]:
-        """Return what `gymnasium.make` takes besides the id of `env_of` to make the env that the actions belong to."""
-        return {"action_mode": self.action_mode}
+    @property
+    def env_arguments(self) -> dict[str, Any]:
+        """What `gymnasium.make` takes besides the id of `env_of` to make the env that the actions belong to."""
+        layout = self.layout
+        if layout.mode == "joint":
+            return {"action_mode": "joint"}
+        return {"action_mode": "ee", "rotation": layout.rotation, "elbow": layout.elbow}
 
 
 def env_of(task: Task) -> str:
@@ -123,6 +120,7 @@ def read_frames(
     fps: int,
     actions: str = "ee",
     rotation: str = "quat_wxyz",
+    elbow: bool = True,
     observations: ObservationFolder | None = None,
     depth: bool = True,
     privileged: bool | None = None,
@@ -134,7 +132,8 @@ def read_frames(
         dataset: Where they are.
         fps: Control steps a second, as they were recorded.
         actions: "ee" or "joint".
-        rotation: Of an "ee" action: "quat_wxyz" or "rotation_6d".
+        rotation: Of an "ee" action: "quat_wxyz" (w, x, y, z), "rotation_6d" or "rotvec" (see `ActionLayout`).
+        elbow: Whether an "ee" action ends with the third joint's angle, without which a fast motion is not met exactly.
         observations: Rendered pictures and points to go with them.
         depth: Depth maps too.
         privileged: Whether an export is to hold the truth about objects; by default where there is nothing rendered
@@ -146,13 +145,14 @@ def read_frames(
             observations of an episode that were rendered from another recording.
         FileNotFoundError: An episode was not rendered.
     """
-    _one_of(ACTIONS, actions, "Actions")
-    _one_of(ROTATIONS, rotation, "Rotations")
-    if actions == "joint" and rotation != ROTATIONS[0]:
+    _one_of(ACTION_MODES, actions, "Actions")
+    _one_of(tuple(ROTATIONS), rotation, "Rotations")
+    if actions == "joint" and rotation != "quat_wxyz":
         raise ValueError(f"Joint positions have no rotation; leave {rotation!r} out, or take actions 'ee'.")
     if not isinstance(fps, numbers.Integral) or isinstance(fps, bool) or fps < 1:
         raise ValueError(f"fps is a whole number of control steps a second, at least 1, e.g. 30; given {fps!r}.")
-    kind = _Kind(int(fps), actions, rotation, depth, privileged if privileged is not None else observations is None)
+    layout = ActionLayout(actions, rotation, elbow and actions == "ee")
+    kind = _Kind(int(fps), layout, depth, privileged if privileged is not None else observations is None)
     return _read(dataset, observations, failures, kind)
 
 
@@ -161,8 +161,7 @@ class _Kind:
     """What is read of an episode, as `read_frames` takes it."""
 
     fps: int
-    actions: str
-    rotation: str
+    layout: ActionLayout
     depth: bool
     privileged: bool
 
@@ -199,7 +198,6 @@ def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kin
     }  # fmt: skip
     nothing = np.zeros(n, dtype=bool)
     seen = _seen(observations, episode)
-    asked, names = _asked(episode, quat, kind)
     return Frames(
         id=episode.id,
         success=episode.success,
@@ -207,10 +205,8 @@ def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kin
         robot={name: column.astype(np.float32) for name, column in robot.items()},
         objects=_objects(steps),
         privileged=kind.privileged,
-        actions=asked.astype(np.float32),
-        action_names=names,
-        action_mode=kind.actions,
-        rotation=kind.rotation if kind.actions == "ee" else "",
+        actions=kind.layout.of_steps(steps).astype(np.float32),
+        layout=kind.layout,
         rewards=steps["reward"].astype(np.float32),
         phase=steps.get("phase", np.full(n, -1)).astype(np.int64),
         gate=steps.get("gate", nothing),
@@ -221,19 +217,6 @@ def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kin
         point_colors=seen["point_colors"],
         episode=episode,
     )
-
-
-def _asked(episode: Episode, quat: Array, kind: _Kind) -> tuple[Array, tuple[str, ...]]:
-    """Return the actions of an episode and the names of their components."""
-    steps = episode.steps
-    if kind.actions == "joint":
-        return np.column_stack((steps["joint_reference"], steps["width_reference"])), ACTION_NAMES["joint"]
-    target = steps["projected_action"]
-    if kind.rotation == "rotation_6d":
-        six = np.array([rotation_6d_from_matrix(matrix_from_quat(row)) for row in target[:, 3:7]])
-        return np.column_stack((target[:, :3], six, target[:, 7])), (*AXES, *SIX, "width")
-    near = np.where((target[:, 3:7] * quat).sum(axis=1, keepdims=True) < 0.0, -1.0, 1.0) * target[:, 3:7]
-    return np.column_stack((target[:, :3], near, target[:, 7])), ACTION_NAMES["ee"]
 
 
 def _objects(steps: Mapping[str, NDArray[Any]]) -> dict[str, Floats]:
@@ -267,13 +250,3 @@ def _seen(observations: ObservationFolder | None, episode: Episode) -> dict[str,
         "points": arrays["points"].astype(np.float32) if clouds else None,
         "point_colors": arrays["point_colors"] if clouds else None,
     }
-
-
-def without_jumps(quat: Array) -> Array:
-    """Choose the sign of each quaternion so that none jumps to its negative; shape (T, 4).
-
-    A hand that points down has w = 0, where a sign fixed by w >= 0 would flip from step to step.
-    """
-    turned = (quat[1:] * quat[:-1]).sum(axis=1) < 0.0
-    signs = np.where(np.concatenate(([False], turned)), -1.0, 1.0)
-    return np.asarray(quat * np.cumprod(signs)[:, None])

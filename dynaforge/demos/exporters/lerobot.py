@@ -16,9 +16,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from PIL import Image
 
-from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Frames
+from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Frames
 from dynaforge.demos.exporters.statistics import Statistics, statistics
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import JOINTS
 
 VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

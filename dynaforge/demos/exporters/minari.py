@@ -17,11 +17,12 @@ import numpy as np
 from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import CONTACTS, JOINTS, STATE_NAMES, Floats, Frames, env_of, without_jumps
+from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Floats, Frames, env_of
 from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import JOINTS, without_jumps
 
 ROOT = "MINARI_DATASETS_PATH"
 
@@ -85,7 +86,7 @@ def _spec(task: Task, frames: Frames) -> gym.envs.registration.EnvSpec | None:
     """Return what `recover_environment` makes the actions' env from; None for a task that no env is registered of."""
     spec = copy.deepcopy(gym.registry.get(env_of(task)))
     if spec is not None:
-        spec.kwargs |= frames.env_arguments(task)
+        spec.kwargs |= frames.env_arguments
     return spec
 
 

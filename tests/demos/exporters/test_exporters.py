@@ -15,9 +15,9 @@ import pytest
 
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import FORMATS, Frames, exporter, read_frames
-from dynaforge.demos.exporters.frames import without_jumps
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.tasks import get_task
+from dynaforge.tasks.action import ActionLayout, without_jumps
 
 CAN = get_task("can")
 FPS = 30
@@ -30,7 +30,7 @@ def test_frames_hold_what_was_recorded(episodes: list[Frames]) -> None:
     np.testing.assert_allclose(frames.state[:, 8:], steps["q"], atol=1e-6)
     assert frames.object_state.shape == (len(frames), 13)
     assert frames.object_names[0] == "can_angular_velocity_x"
-    assert len(frames.action_names) == frames.actions.shape[1] == 8
+    assert len(frames.action_names) == frames.actions.shape[1] == 9
     assert np.abs((frames.actions[:, 3:7] * frames.robot["ee_quat_wxyz"]).sum(axis=1)).min() > 0.5
 
 
@@ -181,12 +181,15 @@ def test_minari(episodes: list[Frames], tmp_path: Path, monkeypatch: pytest.Monk
     metadata = dataset.storage.metadata
     assert len(metadata["observation_names"]) == dataset.observation_space.shape[0]
     assert metadata["instruction"] == CAN.instruction
-    for kind, frames in (("ee", episodes), ("joint", [replace(episodes[0], action_mode="joint")])):
+    joint = ActionLayout("joint")
+    asked = replace(episodes[0], layout=joint, actions=joint.of_steps(episodes[0].episode.steps).astype(np.float32))
+    for kind, frames in (("ee", episodes), ("joint", [asked])):
         if kind == "joint":
             monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / kind))
             exporter("minari")(tmp_path / kind, CAN, frames)
         env = minari.load_dataset("dynaforge/can/demonstrations-v0").recover_environment()
         assert (env.spec.id, env.unwrapped.action_mode) == ("DynaForge/CanTask-v0", kind)
+        assert all(env.action_space.contains(row) for row in frames[0].actions)
         env.close()
 
 

@@ -21,8 +21,8 @@ def test_six_numbers_stand_for_the_rotation_that_the_quaternion_does(recorded: D
         next(read_frames(recorded, fps=FPS, failures=True, rotation=rotation))
         for rotation in ("quat_wxyz", "rotation_6d")
     )
-    assert sixes.action_names == ("x", "y", "z", "r1x", "r1y", "r1z", "r2x", "r2y", "r2z", "width")
-    np.testing.assert_array_equal(sixes.actions[:, [0, 1, 2, 9]], quats.actions[:, [0, 1, 2, 7]])
+    assert sixes.action_names == ("x", "y", "z", "r1x", "r1y", "r1z", "r2x", "r2y", "r2z", "width", "elbow")
+    np.testing.assert_array_equal(sixes.actions[:, [0, 1, 2, 9, 10]], quats.actions[:, [0, 1, 2, 7, 8]])
     for six, quat in zip(sixes.actions[:, 3:9], quats.actions[:, 3:7], strict=True):
         np.testing.assert_allclose(matrix_from_rotation_6d(six), matrix_from_quat(quat), atol=1e-6)
 
