@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from pathlib import Path
 
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.cli.tally import Tally
@@ -23,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
     task = chosen_task(options)
     generator = make_generator(options.generator, task, options)
     engine = _engine(options)
-    out = options.out or Path("data") / task.name
+    out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
     if policy := getattr(generator, "policy_hash", ""):
         print(f"policy {policy}: {options.policy or 'the one shipped for this task'}")

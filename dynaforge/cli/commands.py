@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
 
-from dynaforge.cli import arguments
+from dynaforge.cli import arguments, dataset_arguments
 from dynaforge.cli.options import Parser
-from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
 
 
 def _nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
     """Add no argument; find no fault."""
+
+
+def _next_free(stem: str) -> Path:
+    return next(path for k in count(1) if not (path := Path(f"{stem}-{k}")).exists())
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +30,7 @@ class Command:
         examples: Command lines that teach, without "dynaforge".
         add: Adds its arguments to a parser.
         check: Looks at the arguments together.
+        out: What --out is where it is not given, seen to be as good as if it had been.
         module: Of `dynaforge.cli`, where its `run` is; "" where the name is the command's.
     """
 
@@ -31,6 +38,7 @@ class Command:
     examples: tuple[str, ...]
     add: Callable[[argparse.ArgumentParser], None] = field(default=_nothing, kw_only=True)
     check: Callable[[argparse.Namespace], None] = field(default=_nothing, kw_only=True)
+    out: Callable[[argparse.Namespace], str | Path] | None = field(default=None, kw_only=True)
     module: str = field(default="", kw_only=True)
 
     def parser(self, name: str) -> Parser:
@@ -46,10 +54,13 @@ class Command:
         Raises:
             ValueError: They are not; the message names the option.
         """
-        options: argparse.Namespace = self.parser(name).parse_args(arguments)
+        parser = self.parser(name)
+        options: argparse.Namespace = parser.parse_args(arguments)
         if "task" in options:
             chosen_tasks(options)
         self.check(options)
+        if self.out is not None and options.out is None:
+            options.out = parser.parse_args([*arguments, f"--out={self.out(options)}"]).out
         return options
 
 
@@ -58,6 +69,8 @@ COMMANDS = {
         "from nothing to demonstrations: measure the prior, train, measure again, collect, report",
         ("forge --task can", "forge --task peach --budget 30m --demos 200 --out runs/peach"),
         add=arguments.forge,
+        check=arguments.check_forge,
+        out=lambda options: _next_free(f"runs/{chosen_task(options).name}"),
     ),
     "list": Command("the tasks", ("list",), module="describe"),
     "describe": Command(
@@ -70,45 +83,51 @@ COMMANDS = {
         ("evaluate --task can --generator planner_only residual", "evaluate --task all --stream test --attempts 200"),
         add=arguments.evaluate,
         check=arguments.check_generators,
+        out=lambda options: f"runs/evaluate/{'+'.join(options.generator)}-{options.stream}.json",
     ),
     "collect": Command(
         "demonstrations into a folder, on all cores; resumes",
         ("collect --task can --demos 100", "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4"),
         add=arguments.collect,
         check=arguments.check_generators,
+        out=lambda options: Path("data") / chosen_task(options).name,
     ),
     "info": Command(
         "what a folder of demonstrations holds: rates, lengths, ranges, size",
         ("info data/can",),
-        add=arguments.on_dataset,
+        add=dataset_arguments.on_dataset,
     ),
     "render": Command(
         "pictures and point clouds of collected episodes, in a second pass; resumes",
         ("render data/can", "render data/can --cameras front --size 84 84 --points 1024"),
-        add=arguments.render,
-        check=arguments.check_render,
+        add=dataset_arguments.render,
+        check=dataset_arguments.check_render,
+        out=lambda options: options.folder / "observations",
     ),
     "view": Command(
         "one HTML page to look through a folder of demonstrations: clips, plots, filters",
         ("view data/can", "view data/can --no-clips --limit 200 --out can.html"),
-        add=arguments.view,
-        check=arguments.check_view,
+        add=dataset_arguments.view,
+        check=dataset_arguments.check_view,
+        out=lambda options: options.folder / "view.html",
     ),
     "export": Command(
         "demonstrations as LeRobot, robomimic, DP3's zarr or Minari data, with a card",
         ("export data/can --format lerobot", "export data/can --format robomimic --actions joint --out can-robomimic"),
-        add=arguments.export,
-        check=arguments.check_export,
+        add=dataset_arguments.export,
+        check=dataset_arguments.check_export,
+        out=lambda options: (folder := options.folder.resolve()).with_name(f"{folder.name}-{options.format}"),
     ),
     "verify": Command(
         "check a folder of demonstrations: bytes, values, outcomes; --replay simulates them again",
         ("verify data/can", "verify data/can --replay --audit"),
-        add=arguments.verify,
+        add=dataset_arguments.verify,
     ),
     "compare": Command(
         "train several algorithms on the same tasks and seeds, measure and report; resumes",
         ("compare --task can --algos grpo frontier_grpo", "compare --algos grpo --vary learning_rate 5e-4 1e-3"),
         add=arguments.compare,
+        check=arguments.check_compare,
     ),
     "bench": Command(
         "the project's figures: speed, determinism, limits",

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     """
     tasks = chosen_tasks(options)
     crews = [[make_generator(name, task, options) for name in options.generator] for task in tasks]
-    out = options.out or Path("runs/evaluate") / f"{'+'.join(options.generator)}-{options.stream}.json"
+    out = options.out
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
     for task, generators in zip(tasks, crews, strict=True):

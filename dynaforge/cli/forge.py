@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import count, islice
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -68,9 +68,9 @@ def run(options: argparse.Namespace) -> int:
     task = chosen_task(options)
     if options.residual_frame is not None:
         task = replace(task, residual=replace(task.residual, frame=options.residual_frame))
-    _check(options)
     training.hyperparameters(options.algo, task.name)
-    out = _new_folder(options.out, task.name)
+    make_folder(options.out)
+    out = options.out
 
     print(f"[1/5] the planner alone, {options.attempts} fresh conditions")
     before = _measure(task, PlannerOnly(), islice(task.conditions.stream("val"), options.attempts), options.workers)
@@ -145,19 +145,6 @@ def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) ->
     finally:
         env.close()
     return Trained(policy, history, interrupted)
-
-
-def _check(options: argparse.Namespace) -> None:
-    if options.budget < 0.5:
-        raise ValueError(f"--budget is {options.budget:g}; it must be at least 0.5.")
-
-
-def _new_folder(asked: Path | None, task: str) -> Path:
-    folder = asked or next(p for k in count(1) if not (p := Path("runs") / f"{task}-{k}").exists())
-    make_folder(folder)
-    if any(folder.iterdir()):
-        raise ValueError(f"--out {folder} holds other data. Choose a new or empty folder.")
-    return folder
 
 
 def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:

@@ -117,10 +117,17 @@ class Existing:
 
 
 class Written:
-    """A file or a folder to write: new, or one that is there. Nothing is made yet."""
+    """A file or a folder to write, whose folders above are made where missing. Nothing is made yet.
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    Args:
+        kind: "file" or "folder".
+        holding: A folder that is there must be empty or hold this file.
+        new: Nothing may be there yet.
+        empty: A folder that is there must be empty.
+    """
+
+    def __init__(self, kind: str, *, holding: str = "", new: bool = False, empty: bool = False) -> None:
+        self.kind, self.holding, self.new, self.empty = kind, holding, new, empty
 
     def __call__(self, text: str) -> Path:
         """Read it."""
@@ -128,9 +135,9 @@ class Written:
         if not text.isprintable():
             raise Refused(f"is {shown(text)}; a name with control characters makes no good {self.kind}.")
         mode = _mode(path)
-        if mode is not None and not (stat.S_ISREG(mode) if self.kind.endswith("file") else stat.S_ISDIR(mode)):
-            raise Refused(f"{text} is a {_named(mode)}; it must be a {self.kind}, new or there.")
-        if mode is None and os.path.islink(path):
+        if mode is not None:
+            self._check_what_is_there(path, mode)
+        elif os.path.islink(path):
             raise Refused(f"{text} cannot be made: it is a link to nothing. Choose another {self.kind}.")
         above = next(p for p in (path, *path.absolute().parents) if _mode(p) is not None and (p.is_dir() or p != path))
         if not above.is_dir():
@@ -138,6 +145,19 @@ class Written:
         if not os.access(above, os.W_OK | os.X_OK):
             raise Refused(f"{text} cannot be made: {above} is not writable. Choose another {self.kind}.")
         return path
+
+    def _check_what_is_there(self, path: Path, mode: int) -> None:
+        if self.new:
+            raise Refused(f"{path} exists already. Choose another, or remove it.")
+        if not (stat.S_ISREG(mode) if self.kind == "file" else stat.S_ISDIR(mode)):
+            raise Refused(f"{path} is a {_named(mode)}; it must be a {self.kind}, new or there.")
+        if not os.access(path, os.R_OK | os.W_OK):
+            raise Refused(f"{path} cannot be changed: no permission. Choose another {self.kind}.")
+        if (self.empty or self.holding) and not (self.holding and (path / self.holding).is_file()):
+            others = sorted(entry.name for entry in path.iterdir() if not entry.name.startswith("."))
+            if others:
+                listed = ", ".join(others[:3])
+                raise Refused(f"{path} holds other data ({shorter(listed)}). Choose a new or empty folder.")
 
 
 def shard(text: str) -> tuple[int, int]:
@@ -156,6 +176,13 @@ def minutes(text: str) -> float:
         return Number(above=0)(bare) * unit
     except Refused:
         raise Refused(f"{shown(text)} is no span of time; write 90s, 10m or 1.5h.") from None
+
+
+def add_workers(parser: argparse.ArgumentParser, what: str = "processes") -> None:
+    """Add --workers."""
+    parser.add_argument(
+        "--workers", type=Whole(1, MOST_WORKERS), default=os.cpu_count() or 1, help=f"{what}; by default one a core"
+    )
 
 
 class Distinct(argparse.Action):

@@ -14,7 +14,6 @@ from tqdm import tqdm
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.observations import (
-    FOLDER,
     WORKSPACE,
     ObservationFolder,
     ObservationRenderer,
@@ -34,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     settings = _settings(options, task)
     if settings.points:
         _need_fpsample()
-    folder = ObservationFolder(options.out or options.folder / FOLDER, settings)
+    folder = ObservationFolder(options.out, settings)
     names = dataset.ids()
     missing = folder.missing(names)
     print(f"{len(names)} episodes, {len(names) - len(missing)} rendered; stored in {folder.path}")
@@ -55,18 +54,38 @@ def _need_fpsample() -> None:
 
 
 def _settings(options: argparse.Namespace, task: Task) -> ObservationSettings:
-    known = standard_cameras(task)
-    if options.camera_file:
-        listed = [Camera.from_dict(entry) for entry in json.loads(options.camera_file.read_text())]
-        known |= {camera.name: camera for camera in listed}
+    own = _cameras_of(options.camera_file) if options.camera_file else {}
+    known = standard_cameras(task) | own
     if unknown := [name for name in options.cameras if name not in known]:
-        raise ValueError(f"No camera {', '.join(unknown)}; there are {', '.join(known)}.")
+        raise ValueError(f"--cameras: No camera {', '.join(unknown)}; there are {', '.join(known)}.")
+    if own and not set(own) & set(options.cameras):
+        raise ValueError(f"--camera-file {options.camera_file}: --cameras names none of its {', '.join(own)}.")
     cameras = [known[name] for name in options.cameras]
     if options.size:
         cameras = [replace(camera, size=tuple(options.size)) for camera in cameras]
     corners = options.workspace
     workspace = (tuple(corners[:3]), tuple(corners[3:])) if corners else WORKSPACE
     return ObservationSettings(tuple(cameras), not options.no_images, options.points, workspace)
+
+
+def _cameras_of(path: Path) -> dict[str, Camera]:
+    """Read a user's cameras, by name.
+
+    Raises:
+        ValueError: The file lists none, or what is wrong with one.
+    """
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(listed, list) or not listed:
+            raise ValueError(
+                'it must be a list, such as [{"name": "top", "eye": [0.5, 0, 1], "look_at": [0.5, 0.1, 0]}]'
+            )
+        cameras = [Camera.from_dict(entry) for entry in listed]
+        if len({camera.name for camera in cameras}) < len(cameras):
+            raise ValueError("two cameras have one name")
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"--camera-file {path}: {error}") from error
+    return {camera.name: camera for camera in cameras}
 
 
 _renderer: ObservationRenderer | None = None

@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     dataset, task = open_dataset(options)
     attempts, recorded = dataset.attempts(), set(dataset.ids())
     chosen = spread(attempts, recorded, options.limit)
-    out = options.out or options.folder / "view.html"
+    out = options.out
     scenes = tuple(name for name in SCENES if getattr(options, name))
     clips = not options.no_clips
     for module in ("jinja2", *(["imageio_ffmpeg"] if clips else [])):  # said before the work

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim.bullet import pybullet as p
-from dynaforge.sim.checks import check_flag, check_name, check_number, check_numbers, is_whole
+from dynaforge.sim.checks import check_flag, check_name, check_number, check_numbers, is_whole, shown
 from dynaforge.sim.scene import SimScene
 
 Point = tuple[float, float, float]
@@ -97,6 +97,8 @@ class Camera:
         Raises:
             ValueError: A field is missing or unknown.
         """
+        if not isinstance(data, Mapping):
+            raise ValueError(f"No camera: {shown(data)} is no mapping with name, eye and look_at.")
         try:
             values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
             return Camera(**values)
