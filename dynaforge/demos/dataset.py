@@ -58,6 +58,8 @@ class DemonstrationDataset:
 
     def __init__(self, path: str | Path, *, task: str | None = None, keep_failures: bool = False) -> None:
         check_kind("path", path, (str, Path))
+        if path == "":
+            raise ValueError("path is ''; name a folder, '.' for the current one.")
         check_flag("keep_failures", keep_failures)
         if task is not None:
             check_task_name("task", task)

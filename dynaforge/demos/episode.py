@@ -25,9 +25,14 @@ def episode_id(condition: Condition, generator: str) -> str:
     Raises:
         ValueError: The generator's name does not fit into a file name.
     """
-    if not isinstance(generator, str) or not _GENERATOR_NAME.fullmatch(generator):
-        raise ValueError(f"Generator name {shown(generator)} must consist of letters, digits, '.', '_' and '-'.")
+    check_generator_name(generator)
     return f"{condition.id}-{generator}"
+
+
+def check_generator_name(name: Any) -> None:
+    """Raise ValueError unless a generator's name fits into a file name."""
+    if not isinstance(name, str) or not _GENERATOR_NAME.fullmatch(name):
+        raise ValueError(f"Generator name {shown(name)} must consist of letters, digits, '.', '_' and '-'.")
 
 
 def check_outcome(kind: str, outcome: Any) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from dynaforge.demos.atomic import naming
 from dynaforge.demos.episode import Episode, check_outcome, episode_id
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_flag, check_number, check_whole
+from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +107,8 @@ class Ledger:
     """
 
     def __init__(self, path: str | Path, *, fsync: bool = True) -> None:
+        check_kind("path", path, (str, Path))
+        check_flag("fsync", fsync)
         self.path = Path(path)
         self.fsync = fsync
 

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos import Episode
+from dynaforge.demos.episode import check_generator_name
 from dynaforge.demos.schema import state_digests
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_callable, check_kind, check_number, finite_array
 from dynaforge.tasks.digest import task_digest
 
 PACKAGES = ("dynaforge", "pybullet", "pin", "toppra", "ruckig", "numpy")
@@ -51,6 +53,9 @@ class ResidualGenerator:
     """
 
     def __init__(self, policy: ResidualPolicy, *, policy_hash: str = "", name: str = "residual") -> None:
+        check_callable("policy", policy)
+        check_kind("policy_hash", policy_hash, str)
+        check_generator_name(name)
         self.policy = policy
         self.policy_hash = policy_hash
         self.name = name
@@ -98,6 +103,7 @@ class ConstantResidual:
     """The same residual at every decision; the oracle draws them at random."""
 
     def __init__(self, action: NDArray[np.float32]) -> None:
+        finite_array("action", action, np.shape(action))
         self.action = action
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -113,6 +119,8 @@ class Exploring:
     """
 
     def __init__(self, policy: ResidualPolicy, sigma: float) -> None:
+        check_callable("policy", policy)
+        check_number("sigma", sigma, least=0.0)
         self.policy = policy
         self.sigma = sigma
 

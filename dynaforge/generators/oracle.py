@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaforge.demos import Episode
+from dynaforge.demos.episode import check_generator_name
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import ConstantResidual, ResidualGenerator
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,10 @@ class Oracle:
 
     m: int = 64
     name: str = "oracle"
+
+    def __post_init__(self) -> None:
+        check_whole("Oracle: m", self.m, least=1)
+        check_generator_name(self.name)
 
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
         """Return the first successful try, else the one that got furthest."""

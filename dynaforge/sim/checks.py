@@ -6,6 +6,7 @@ import difflib
 import math
 import re
 import reprlib
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from numbers import Integral, Real
@@ -31,9 +32,9 @@ def shown(value: Any) -> str:
         return f"a very large {type(value).__name__}"
 
 
-def close_match(name: str, known: Iterable[str]) -> str:
+def close_match(name: Any, known: Iterable[str]) -> str:
     """Return a sentence that names what was probably meant, or nothing."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
+    close = difflib.get_close_matches(name, list(known), n=1) if isinstance(name, str) else []
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
@@ -141,7 +142,7 @@ def finite_array(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return the value as an array of finite numbers of that shape; raise ValueError otherwise."""
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f"{what} is {shown(value)}; it must be finite numbers of shape {shape}.")
@@ -149,13 +150,15 @@ def finite_array(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def is_number(value: Any) -> bool:
-    """Whether the value is a real number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
+    """Whether the value is a real number that a float can hold; True and False are none."""
+    if isinstance(value, Integral):
+        return is_whole(value)
+    return isinstance(value, Real)
 
 
 def is_whole(value: Any) -> bool:
-    """Whether the value is a whole number; True and False are none."""
-    return isinstance(value, Integral) and not isinstance(value, (bool, np.bool_))
+    """Whether the value is a whole number that a float can hold; True and False are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and abs(int(value)) <= sys.float_info.max
 
 
 _BY_ANNOTATION: dict[str, Callable[[str, Any], None]] = {

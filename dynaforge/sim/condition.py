@@ -34,9 +34,13 @@ class Condition:
         check_name("Condition: task", self.task)
         check_whole("Condition: seed", self.seed, least=0)
         check_kind("Condition: values", self.values, Mapping)
-        for name, value in (("difficulty", self.difficulty), *self.values.items()):
-            if not isinstance(name, str) or not is_number(value):  # whether it is in range its space says
-                raise ValueError(f"Condition: {shown(name)} is {shown(value)}; it must be a named number.")
+        if not is_number(self.difficulty):
+            raise ValueError(f"Condition: difficulty is {shown(self.difficulty)}; it must be a number.")
+        for name, value in self.values.items():  # whether it is in range its space says
+            if not isinstance(name, str) or not is_number(value):
+                raise ValueError(
+                    f"Condition: values[{shown(name)}] is {shown(value)}; it must be a number with a name."
+                )
         # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
         object.__setattr__(self, "seed", int(self.seed))
         object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)

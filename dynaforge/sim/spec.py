@@ -76,6 +76,7 @@ class FixtureSpec:
         if isinstance(self.driven, str):
             raise ValueError(f"{what}: driven is {self.driven!r}; it must be a tuple: ({self.driven!r},).")
         check_kind(f"{what}: spring", self.spring, (Spring, type(None)))
+        check_text(f"{what}: link", self.link)
         _check_friction(what, self, "lateral_friction", "rolling_friction")
         if not self.urdfs:
             raise ValueError(f"{what} has no URDF.")
@@ -168,7 +169,7 @@ class SceneSpec:
                 f"SceneSpec: several things are called {twice[0]!r}; every body and fixture has its own name."
             )
         if not self.tracked:
-            raise ValueError("SceneSpec: nothing in the scene moves; it needs a body, or a fixture with a joint.")
+            raise ValueError("SceneSpec: nothing in the scene moves; give it bodies, or fixtures with a joint.")
         check_number("SceneSpec: physics_dt", self.physics_dt, above=0.0)
         check_number("SceneSpec: control_dt", self.control_dt, above=0.0, most=LONGEST_STEP)
         ratio = self.control_dt / self.physics_dt
@@ -245,7 +246,7 @@ def _read(what: str, urdf: str) -> tuple[set[str], dict[str, str]]:
     try:
         return check_urdf(asset_path(urdf))
     except (ValueError, FileNotFoundError) as error:
-        raise type(error)(f"{what}: {error}") from error
+        raise type(error)(f"{what}: urdf: {error}") from error
 
 
 def check_urdf(path: Path) -> tuple[set[str], dict[str, str]]:

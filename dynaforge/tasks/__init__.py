@@ -8,6 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
+from dynaforge.sim.checks import shown
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 from dynaforge.tasks.task_file import task_of_file
@@ -44,7 +45,9 @@ def get_task(given: str) -> Task:
         ValueError: No such task; a close match is named. Or the file holds none, cannot be run, or its name is taken.
     """
     if not isinstance(given, str):
-        raise ValueError(f"No task {given!r}: give a task's name, such as 'can', or a task file, such as 'ball.py'.")
+        raise ValueError(
+            f"No task {shown(given)}: give a task's name, such as 'can', or a task file, such as 'ball.py'."
+        )
     if given.endswith(".py"):
         return task_of_file(Path(given).resolve())
     name = task_named(given)

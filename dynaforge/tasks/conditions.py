@@ -51,11 +51,13 @@ class ConditionSpace:
         check_kind("ConditionSpace: ranges", self.ranges, Mapping)
         check_kind("ConditionSpace: units", self.units, Mapping)
         for name, ends in self.ranges.items():
-            check_name("ConditionSpace: the field", name)
+            check_name("ConditionSpace: a field of ranges", name)
             check_numbers(f"ConditionSpace: the range of {name!r}", ends, 2)
             if not ends[0] < ends[1]:
                 how = "empty; what never varies belongs into launch" if ends[0] == ends[1] else "reversed"
                 raise ValueError(f"ConditionSpace: the range {shown(ends)} of {name!r}, (low, high), is {how}.")
+        if not self.ranges:
+            raise ValueError("ConditionSpace: ranges is empty; at least the difficulty has one.")
         check_choice("ConditionSpace: difficulty", self.difficulty, self.ranges)
         if unknown := sorted(set(self.units) - set(self.ranges)):
             raise ValueError(f"Units are given for {unknown}, which are no fields; there are {sorted(self.ranges)}.")
@@ -75,7 +77,7 @@ class ConditionSpace:
         check_whole("n_strata", n_strata, least=1)
         check_number("difficulty", difficulty)
         low, high = self.difficulty_range
-        return min(max(int((difficulty - low) / (high - low) * n_strata), 0), n_strata - 1)
+        return int(min(max((difficulty - low) / (high - low) * n_strata, 0.0), n_strata - 1))
 
     def draw(self, rng: np.random.Generator, stratum: int | None = None, n_strata: int = 1) -> Condition:
         """Draw one condition.
@@ -139,7 +141,7 @@ class ConditionSpace:
         Raises:
             ValueError: Unknown stream, or no such block, strata or shard.
         """
-        if stream not in STREAMS:
+        if not isinstance(stream, str) or stream not in STREAMS:
             raise ValueError(f"No condition stream {shown(stream)}; known are {', '.join(STREAMS)}.")
         check_whole("block", block, least=0)
         if n_strata is not None:

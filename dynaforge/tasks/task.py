@@ -108,7 +108,7 @@ class Task:
             check_kind(f"{what}: {name}", getattr(self, name), kind)
         object.__setattr__(self, "phases", check_tuple(f"{what}: phases", self.phases, Phase))
         object.__setattr__(self, "impossible", endings_of(f"{what}: impossible", self.impossible))
-        if not self.instruction:
+        if isinstance(self.instruction, str) and not self.instruction:
             words = f"{self.skill} the {self.manipulated}".replace(" + ", " and ").replace("_", " ")
             object.__setattr__(self, "instruction", words)
         self._check_descriptions(what)

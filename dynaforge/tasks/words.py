@@ -72,7 +72,7 @@ def _told(place: str, role: str, word: object, view: PhaseView, error: Exception
 
 def unknown(place: str, does: str, name: object, known: Mapping[str, Any] | tuple[str, ...]) -> str:
     """Say that a name is none of the scene's, and what was probably meant."""
-    return f"{place} {does}; the scene has {_listed(known)}.{close_match(str(name), known)}"
+    return f"{place} {does}; the scene has {_listed(known)}.{close_match(name, known)}"
 
 
 def _listed(names: Mapping[str, Any] | tuple[str, ...]) -> str:
