@@ -217,7 +217,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "reversed": (lambda: ranges(speed=(1.5, 0.05)), ("(1.5, 0.05) of 'speed'", "is reversed")),
     "nan range": (lambda: ranges(mass=(NAN, 0.2)), ("the range of 'mass'[0] is nan",)),
     "one end": (lambda: ranges(mass=0.2), ("the range of 'mass' is 0.2", "2 numbers")),
-    "no ranges": (lambda: replace(CAN.conditions, ranges={}, units={}), ("difficulty is 'speed'",)),
+    "no ranges": (lambda: replace(CAN.conditions, ranges={}, units={}), ("ranges is empty",)),
     "space's name": (lambda: replace(CAN.conditions, task="a can"), ("ConditionSpace: task is 'a can'",)),
     # the task
     "env_name": (lambda: can(env_name="Drink can"), ("Task 'can': env_name is 'Drink can'", "env id")),
