@@ -201,7 +201,7 @@ class Crew:
         if process.returncode == 0:
             log.unlink()
             return True
-        last = log.read_text().strip().splitlines()[-1:] or ["no message"]
+        last = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-1:] or ["no message"]
         self._lost.append(f"{spec.folder} failed with status {process.returncode}: {last[0]} (all of it in {log})")
         bar.write(self._lost[-1])
         return False

@@ -137,9 +137,10 @@ class Written:
         mode = _mode(path)
         if mode is not None:
             self._check_what_is_there(path, mode)
-        elif os.path.islink(path):
-            raise Refused(f"{text} cannot be made: it is a link to nothing. Choose another {self.kind}.")
-        above = next(p for p in (path, *path.absolute().parents) if _mode(p) is not None and (p.is_dir() or p != path))
+        chain = (path, *path.absolute().parents)
+        if dangling := [p for p in chain if os.path.islink(p) and _mode(p) is None]:
+            raise Refused(f"{text} cannot be made: {dangling[0]} is a link to nothing. Choose another {self.kind}.")
+        above = next(p for p in chain if _mode(p) is not None and (p.is_dir() or p != path))
         if not above.is_dir():
             raise Refused(f"{text} cannot be made: {above} is a file. Choose another {self.kind}.")
         if not os.access(above, os.W_OK | os.X_OK):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.options import Refused
+from dynaforge.cli.options import Refused, shown
 from dynaforge.tasks import TASK_NAMES, Task, get_task
+
+LONGEST = 1000  # characters of a task file's path
 
 
 def add_task_argument(
@@ -37,9 +39,11 @@ def task(text: str) -> str:
     Raises:
         argparse.ArgumentTypeError: It does not.
     """
+    if len(text) > LONGEST or "\0" in text:
+        raise Refused(f"is {shown(text)}; it must be a task's name, an env id or a task file.")
     try:
         get_task(text)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         raise Refused(f": {error}") from error
     return text
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, write_sealed
-from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task
@@ -101,6 +100,8 @@ class ObservationRenderer:
         self._settings = settings
         self._low, self._high = (np.array(corner) for corner in settings.workspace)
         self._thin = farthest_points if settings.points else None
+        from dynaforge.demos.replay import Replayer  # here: whoever only reads observations does without physics
+
         self._replayer = Replayer(task, visuals="plain")
 
     def render(self, episode: Episode) -> dict[str, NDArray[Any]]:

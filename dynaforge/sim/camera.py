@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose
-from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.checks import check_flag, check_name, check_number, check_numbers, is_whole, shown
-from dynaforge.sim.scene import SimScene
+
+if TYPE_CHECKING:
+    from dynaforge.sim.scene import SimScene
 
 Point = tuple[float, float, float]
 FLIP = np.diag((1.0, -1.0, -1.0))  # from OpenGL's camera axes (y up, looking along -z) to OpenCV's (y down, along z)
@@ -131,6 +132,8 @@ def see(scene: SimScene, camera: Camera, ee: Pose) -> Image:
         camera: From where.
         ee: `T_world_ee` now, which a camera in the hand moves with.
     """
+    from dynaforge.sim.bullet import pybullet as p  # here: whoever only reads about cameras does without the engine
+
     width, height = camera.size
     pose = camera.pose(ee)
     view = np.eye(4)
