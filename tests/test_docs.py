@@ -56,6 +56,31 @@ def test_the_page_on_adding_a_task_makes_one_that_works(folder: Path, capsys: py
     assert 1.0 in rewards, "the planner alone wins a slow ball"
 
 
+ROWS = re.findall(r"^\| `(.+?)` \| `(.+?)` \| `(.+)` \|$", (DOCS / "add_a_task.md").read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize(("right", "wrong", "answer"), ROWS)
+def test_the_mistakes_that_the_page_shows_are_answered_as_it_says(
+    folder: Path, capsys: pytest.CaptureFixture[str], right: str, wrong: str, answer: str
+) -> None:
+    assert right in BALL
+    (folder / "ball.py").write_text(BALL.replace(right, wrong, 1))
+    assert main(["describe", "ball.py"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "ball.py, line " in said
+    for part in answer.split("` ... `"):
+        assert part in said
+
+
+def test_the_page_shows_a_refusal_as_it_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(ROWS) >= 8
+    (block,) = (text for text in blocks("text") if "describe" in text)
+    (folder / "ball.py").write_text(BALL.replace(*ROWS[0][:2], 1))
+    assert main(shlex.split(block.splitlines()[0])[2:]) == 2
+    assert capsys.readouterr().err.replace(str(folder), "/home/me").splitlines() == block.splitlines()[1:]
+
+
 def _rng(seed: int):
     import numpy as np
 

@@ -187,7 +187,8 @@ class SceneSpec:
         Raises:
             ValueError: `launch` raises, leaves one out, names one that the scene lacks, or says something else of it.
         """
-        who = f"launch ({getattr(self.launch, '__qualname__', type(self.launch).__name__)})"
+        name = getattr(self.launch, "__qualname__", type(self.launch).__name__)
+        who = "launch" if name == "launch" else f"launch ({name})"
         try:
             starts = self.launch(condition)
         except Exception as error:  # a task's own code: whatever it raises is told with its place
