@@ -20,6 +20,7 @@ from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write, check_writable
+from dynaforge.envs.processes import usable_cores
 from dynaforge.tasks import Task
 
 QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs
@@ -124,7 +125,7 @@ def _machine() -> dict[str, Any]:
         model = names[0] if names else model
     return {
         "cpu": model,
-        "cores": os.cpu_count(),
+        "cores": usable_cores(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "load": round(os.getloadavg()[0], 2),

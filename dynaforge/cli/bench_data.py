@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import subprocess
 import sys
 import tempfile
@@ -17,6 +16,7 @@ from dynaforge.cli.bench_figure import Figure, spread, tracked
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
+from dynaforge.envs.processes import usable_cores
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.sim.spec import asset_path
@@ -53,7 +53,7 @@ class TimedDataset(DemonstrationDataset):
 def writing(task: Task, *, rounds: int) -> list[Figure]:
     """Collect as `dynaforge collect` does: the share of all cores that writing takes."""
     generator = make_generator(_generator_of(task), task, Namespace(policy=None))
-    shares, busy, cores = [], [], os.cpu_count() or 1
+    shares, busy, cores = [], [], usable_cores()
     for number in tracked(range(rounds), "writing"):
         with tempfile.TemporaryDirectory() as folder:
             dataset = TimedDataset(folder, task=task.name)

@@ -19,6 +19,7 @@ from dynaforge.cli.bench_episodes import (
     seeded_actions,
 )
 from dynaforge.cli.bench_figure import Figure, tracked
+from dynaforge.envs.processes import begin_worker, worker_environment
 from dynaforge.envs.residual_env import GATE_MODES, ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.sim import Condition
@@ -60,7 +61,8 @@ def one_trajectory(task: Task, *, n: int = 3, sizes: tuple[int, ...] = (1, 4, 16
         sizes: Numbers of envs.
     """
     conditions = [task.conditions.draw(np.random.default_rng(i), i, n) for i in range(n)]
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")  # a fork server has imported the envs already
+    with worker_environment(), ProcessPoolExecutor(1, mp_context=spawn, initializer=begin_worker) as pool:
         future = pool.submit(hashes_over_histories, task.name, conditions)
         here = hashes_over_histories(task.name, conditions)
         there = future.result(timeout=PROCESS_TIMEOUT)

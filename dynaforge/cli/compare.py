@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from dynaforge.cli import training
 from dynaforge.cli.forge import make_folder
-from dynaforge.cli.runs import Exam, RunSpec
+from dynaforge.cli.runs import END_WITH_STDIN, Exam, RunSpec
 from dynaforge.cli.settings import arms
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.evaluation import Comparison
@@ -172,15 +172,16 @@ class Crew:
         spec.folder.mkdir(parents=True, exist_ok=True)
         with (spec.folder / "log.txt").open("w") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "dynaforge.cli.runs", spec.to_json()],
-                stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True,
+                [sys.executable, "-P", "-m", "dynaforge.cli.runs", spec.to_json(), END_WITH_STDIN],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True,
             )  # fmt: skip
         self._running[str(spec.folder)] = spec, process
         threading.Thread(target=self._listen, args=(spec, process), daemon=True).start()
 
     def _listen(self, spec: RunSpec, process: subprocess.Popen[str]) -> None:
+        assert process.stdin is not None
         assert process.stdout is not None
-        with process.stdout as lines:
+        with process.stdin, process.stdout as lines:
             for line in lines:
                 if line.startswith("{"):
                     self._news.put((spec, json.loads(line)))

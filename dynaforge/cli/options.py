@@ -15,6 +15,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dynaforge.envs.processes import usable_cores
+
 Refused = argparse.ArgumentTypeError
 
 MOST = 10**9  # of anything that is counted; more is a slip of the finger
@@ -182,8 +184,9 @@ def minutes(text: str) -> float:
 def add_workers(parser: argparse.ArgumentParser, what: str = "processes") -> None:
     """Add --workers."""
     parser.add_argument(
-        "--workers", type=Whole(1, MOST_WORKERS), default=os.cpu_count() or 1, help=f"{what}; by default one a core"
-    )
+        "--workers", type=Whole(1, MOST_WORKERS), default=usable_cores(),
+        help=f"{what}; by default one a core that this process may use",
+    )  # fmt: skip
 
 
 class Distinct(argparse.Action):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from dynaforge.demos.observations import (
     ObservationSettings,
     standard_cameras,
 )
-from dynaforge.envs.processes import single_threaded, worker_context
+from dynaforge.envs.processes import worker_pool
 from dynaforge.sim.camera import Camera
 from dynaforge.tasks import Task
 
@@ -99,10 +98,7 @@ def _render(
     """Render episodes on all cores; yields (id, problem or "") as they are done."""
     if not names:
         return
-    start = (options.folder, folder.path, task)
-    with single_threaded(), ProcessPoolExecutor(
-        options.workers, mp_context=worker_context(), initializer=_start, initargs=start
-    ) as pool:  # fmt: skip
+    with worker_pool(options.workers, _start, options.folder, folder.path, task) as pool:
         yield from zip(names, pool.map(_render_one, names, chunksize=AT_A_TIME), strict=True)
 
 

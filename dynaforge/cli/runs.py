@@ -1,7 +1,8 @@
 """One training run of a comparison: one core, stored as it goes, gone on with after any interruption.
 
-`python -m dynaforge.cli.runs SPEC` (what `dynaforge compare` starts) makes or finishes the run that SPEC, the JSON form
-of a `RunSpec`, describes; each line it prints is a JSON object that tells how far it is.
+`python -m dynaforge.cli.runs SPEC [end-with-stdin]` (what `dynaforge compare` starts) makes or finishes the run that
+SPEC, the JSON form of a `RunSpec`, describes; each line it prints is a JSON object that tells how far it is. With the
+second argument it ends when stdin does, which is when whoever started it is gone.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 from dynaforge.cli.settings import hyperparameters
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
+from dynaforge.envs.processes import end_after
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.sim import Condition
@@ -27,6 +29,7 @@ from dynaforge.tasks.digest import task_digest
 SAVED_EVERY = 5  # updates, between two of which a kill may fall
 PROBED_EVERY = 5  # updates, between two measurements without exploration
 CHECKPOINT = "checkpoint.safetensors"
+END_WITH_STDIN = "end-with-stdin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +218,10 @@ def tell(**what: Any) -> None:
 
 
 def main() -> int:
-    """Make the run, or measure the planner, that the one argument describes."""
+    """Make the run, or measure the planner, that the first argument describes."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if sys.argv[2:] == [END_WITH_STDIN]:
+        end_after(sys.stdin.fileno())
     spec = RunSpec.from_json(sys.argv[1])
     if spec.arm == "planner_only":
         examine(get_task(spec.task), PlannerOnly(), spec.exam, spec.folder / "exam.json")

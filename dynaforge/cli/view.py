@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from tqdm import tqdm
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.observations import FOLDER, ObservationFolder
-from dynaforge.envs.processes import single_threaded, worker_context
+from dynaforge.envs.processes import worker_pool
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.scene3d import Scene3D, SceneRecorder, write_rerun, write_viser
 from dynaforge.reports.viewer import write_viewer
@@ -96,9 +95,7 @@ def recordings(wanted: Wanted, chosen: Sequence[str], workers: int) -> Iterator[
         with closing(Maker(wanted)) as maker:
             yield from map(maker.make, chosen)
         return
-    with single_threaded(), ProcessPoolExecutor(
-        workers, mp_context=worker_context(), initializer=_start, initargs=(wanted,)
-    ) as pool:  # fmt: skip
+    with worker_pool(workers, _start, wanted) as pool:
         try:
             yield from pool.map(_make, chosen)
         except BrokenProcessPool:

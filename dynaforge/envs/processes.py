@@ -1,14 +1,69 @@
-"""How worker processes are started: never forked from here, single-threaded, imports paid once."""
+"""How worker processes are started, how many, and how they end: never forked from here, single-threaded, never alone.
+
+Light to import: nothing of the package, and nothing beyond the standard library.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import math
 import multiprocessing
 import os
-from collections.abc import Iterator
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import connection, forkserver, parent_process
+from pathlib import Path
 from typing import Any
 
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+# Python's switch for a sys.path without the current folder, in which a json.py or numpy.py may lie. Any value does, so
+# that this one tells ours from a user's.
+SAFE_PATH, OURS = "PYTHONSAFEPATH", "dynaforge"
+PARENT_GONE_GRACE = 1.0  # s
+NO_SHARED_MEMORY = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.ENOSPC, errno.ENOSYS)
+GUARD = "if __name__ == '__main__':"
+
+
+def usable_cores(root: Path = Path("/")) -> int:
+    """Count the cores that this process may use: by its affinity, and by the CPU quota of its cgroup.
+
+    On a shared node, in a container or a batch job these are fewer than the machine has.
+
+    Args:
+        root: Where `proc` and `sys` are found.
+    """
+    try:
+        cores = len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS
+        cores = os.cpu_count() or 1
+    return max(1, min([cores, *(math.ceil(quota) for quota in _quotas(root))]))
+
+
+def _quotas(root: Path) -> Iterator[float]:
+    """Yield the quotas, in cores, of this process's cgroups and of all above them: v2's, then v1's."""
+    base = root / "sys" / "fs" / "cgroup"
+    try:
+        lines = (root / "proc" / "self" / "cgroup").read_text().splitlines()
+    except OSError:
+        return
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers == "":
+            mounts, names = [base, base / "unified"], ["cpu.max"]
+        elif "cpu" in controllers.split(","):
+            mounts, names = [base / controllers, base / "cpu"], ["cpu.cfs_quota_us", "cpu.cfs_period_us"]
+        else:
+            continue
+        place = Path(path.lstrip("/"))
+        for folder in (mount / part for mount in mounts for part in (place, *place.parents)):
+            with contextlib.suppress(OSError, ValueError):  # no such folder, or no limit: "max", or -1
+                quota, period = (int(word) for name in names for word in (folder / name).read_text().split())
+                if quota > 0 and period > 0:
+                    yield quota / period
 
 
 def worker_context() -> Any:
@@ -16,19 +71,38 @@ def worker_context() -> Any:
 
     Never fork: locks held by the parent's threads (torch, BLAS) would stay locked in the child. The fork server imports
     the envs once and every worker starts from there.
+
+    Raises:
+        SystemExit: This is a worker that imports the main script, which asks for workers: it lacks its guard. The
+            parent says so; a message of every worker would hide it.
     """
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)
+    main = sys.modules["__main__"]
+    if getattr(main, "__file__", None) == "<stdin>":  # Python's name for `python -`; workers would look for that file
+        del main.__file__
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
         context.set_forkserver_preload(["dynaforge.envs.residual_env", "dynaforge.envs.vector_worker"])
+        with worker_environment():
+            forkserver.ensure_running()
     return context
 
 
+def guard_hint() -> str:
+    """Say what workers that die as they start may mean; empty where there is no script that they could import."""
+    if getattr(sys.modules["__main__"], "__file__", None) is None:
+        return ""
+    return f" A script that starts workers needs `{GUARD}` around what it runs, since workers import it."
+
+
 @contextlib.contextmanager
-def single_threaded() -> Iterator[None]:
-    """Let processes started meanwhile inherit one thread for every numerical library."""
-    before = {name: os.environ.get(name) for name in SINGLE_THREAD}
-    os.environ.update(SINGLE_THREAD)
+def worker_environment() -> Iterator[None]:
+    """Let processes started meanwhile inherit one thread for every numerical library, and a safe path for imports."""
+    ours = SINGLE_THREAD | {SAFE_PATH: os.environ.get(SAFE_PATH) or OURS}
+    before = {name: os.environ.get(name) for name in ours}
+    os.environ.update(ours)
     try:
         yield
     finally:
@@ -37,3 +111,57 @@ def single_threaded() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+def begin_worker() -> None:
+    """Make this process a worker: one thread for every numerical library, and an end soon after its parent's."""
+    os.environ.update(SINGLE_THREAD)
+    if os.environ.get(SAFE_PATH) == OURS:  # what the worker starts is its own affair
+        del os.environ[SAFE_PATH]
+    parent = parent_process()
+    if parent is not None:
+        end_after(parent.sentinel)
+
+
+def end_after(sentinel: int) -> None:
+    """End this process soon after a descriptor becomes readable or is closed at its other end, whatever it is doing.
+
+    A parent that is killed cannot end its workers.
+    """
+
+    def wait() -> None:
+        connection.wait([sentinel])
+        time.sleep(PARENT_GONE_GRACE)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> ProcessPoolExecutor:
+    """Make a pool of workers that each begin with `start(*arguments)`.
+
+    Both are sent by value where they come from the main script, so that code from a notebook or stdin works.
+
+    Raises:
+        OSError: There is no shared memory for the pool's semaphores.
+    """
+    import cloudpickle
+
+    context, begin = worker_context(), cloudpickle.dumps((start, arguments))
+    try:
+        return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_in_pool, initargs=(begin,))
+    except OSError as error:
+        if error.errno not in NO_SHARED_MEMORY:
+            raise
+        raise OSError(
+            f"Worker processes need semaphores, which lie in shared memory, and /dev/shm refuses them: "
+            f"{error.strerror}. Make it writable; in a container start it with --shm-size=64m or --tmpfs /dev/shm"
+        ) from error
+
+
+def _begin_in_pool(pickled: bytes) -> None:
+    import cloudpickle
+
+    begin_worker()
+    start, arguments = cloudpickle.loads(pickled)
+    start(*arguments)

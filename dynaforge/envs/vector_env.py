@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from stable_baselines3.common.vec_env.util import dict_to_obs, obs_space_info
 
+from dynaforge.envs.processes import usable_cores
 from dynaforge.envs.vector_errors import WorkerDied, WorkerError, WorkerFailed
 from dynaforge.envs.vector_pool import EnvFn, WorkerPool
 from dynaforge.envs.vector_worker import (
@@ -47,12 +48,13 @@ class SharedMemoryVecEnv(VecEnv):
     `assign` gives it the next episode.
 
     A worker that dies or hangs, and an env that raises, end the call with an error that names worker, env and
-    condition; `close()` always returns within 2 s and leaves no process behind. Scripts need an
-    `if __name__ == "__main__":` guard, as for every env in subprocesses.
+    condition; `close()` always returns within 2 s and leaves no process behind, nor does a kill. Scripts
+    need an `if __name__ == "__main__":` guard, as for every env in subprocesses; notebooks and code on stdin do not.
 
     Args:
         env_fns: One function an env, each making a new env; closures are welcome.
-        n_workers: Worker processes; more than there are envs are not started.
+        n_workers: Worker processes; by default as many as the cores that this process may use. More than there are
+            envs are not started.
         timeout: Longest time in s that one call into one env may take. Starting may take a minute besides.
 
     Raises:
@@ -62,10 +64,12 @@ class SharedMemoryVecEnv(VecEnv):
         WorkerDied: A worker ended while starting.
     """
 
-    def __init__(self, env_fns: Sequence[EnvFn], *, n_workers: int = 2, timeout: float = 60.0) -> None:
+    def __init__(self, env_fns: Sequence[EnvFn], *, n_workers: int | None = None, timeout: float = 60.0) -> None:
         n_envs = len(env_fns)
         if n_envs < 1:
             raise ValueError("n_envs is 0: env_fns is empty, expected at least one function that makes an env.")
+        if n_workers is None:
+            n_workers = usable_cores()
         if n_workers < 1:
             raise ValueError(f"n_workers is {n_workers}, expected at least 1.")
         if not timeout > 0:

@@ -18,7 +18,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynaforge.envs.processes import single_threaded, worker_context
+from dynaforge.envs.processes import guard_hint, worker_context, worker_environment
 from dynaforge.envs.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
 from dynaforge.envs.vector_worker import (
     CLOSE,
@@ -145,7 +145,7 @@ class WorkerPool:
         context = worker_context()
         self._poll = select.poll()
         self._owner: dict[int, int] = {}
-        with single_threaded():
+        with worker_environment():
             for worker, share in enumerate(self.shares):
                 pipe, far_end = context.Pipe()
                 process: BaseProcess = context.Process(
@@ -207,9 +207,7 @@ class WorkerPool:
         else:
             condition = ", ".join(f"env {i}: {self.labels[i]}" for i in self.shares[worker])
             where = f"between two calls; it held {condition}"
-        hint = ""
-        if self._arrays is None:
-            hint = " A script that makes this env needs an `if __name__ == '__main__':` guard."
+        hint = guard_hint() if self._arrays is None else ""
         message = f"Worker {worker} {what} {where}. Close this vectorised env and make a new one.{hint}"
         return WorkerDied(message, worker=worker, env_index=None if index == NO_ENV else index, condition=condition)
 

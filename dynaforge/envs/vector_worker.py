@@ -11,13 +11,11 @@ import os
 import pickle
 import signal
 import sys
-import threading
-import time
 import traceback
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from multiprocessing import connection, parent_process, reduction
+from multiprocessing import connection, reduction
 from typing import Any
 
 import cloudpickle
@@ -25,7 +23,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.processes import SINGLE_THREAD
+from dynaforge.envs.processes import begin_worker
 
 # What a step did to an env, one byte an env in the shared array "status".
 STEPPED, TRUNCATED, IDLE, STARTED = range(4)
@@ -35,7 +33,6 @@ STEP, CLOSE = b"step", b"close"
 EMPTY, PAYLOAD, FAILURE = b".", b"+", b"!"
 # Entry of the shared array "running" of a worker that is in none of its envs.
 NO_ENV = -1
-PARENT_GONE_GRACE = 1.0  # s
 
 SharedArrays = dict[Hashable, NDArray[Any]]
 Info = dict[str, Any]
@@ -240,8 +237,7 @@ def run_worker(pipe: connection.Connection[Any, Any], worker: int, first: int) -
         first: Global index of its first env.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    os.environ.update(SINGLE_THREAD)
-    threading.Thread(target=_leave_after_parent, daemon=True).start()
+    begin_worker()
     envs: list[gym.Env[Any, Any]] = []
     try:
         pipe.send_bytes(_build(pickle.loads(pipe.recv_bytes()), envs, first=first))
@@ -276,15 +272,6 @@ def _build(pickled_fns: Sequence[bytes], envs: list[gym.Env[Any, Any]], *, first
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)
     return answer
-
-
-def _leave_after_parent() -> None:
-    """End this process soon after its parent is gone, even while an env never returns."""
-    parent = parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        time.sleep(PARENT_GONE_GRACE)
-        os._exit(1)
 
 
 def dump(value: Any) -> bytes:

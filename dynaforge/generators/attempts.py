@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 
 from dynaforge.demos import Attempt, Episode
-from dynaforge.envs.processes import worker_context
+from dynaforge.envs.processes import guard_hint, usable_cores, worker_pool
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
@@ -50,13 +48,13 @@ def run_attempts(
         generator: What attempts.
         conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
-        workers: Processes; all cores by default.
+        workers: Processes; by default as many as the cores that this process may use.
 
     Raises:
         RuntimeError: Workers cannot even start.
     """
     source = iter(conditions)
-    crew = _Crew(task, generator, workers or os.cpu_count() or 1)
+    crew = _Crew(task, generator, workers or usable_cores())
     try:
         crew.hand_out(islice(source, 2 * crew.size))
         while crew.running:
@@ -73,8 +71,7 @@ class _Crew:
     def __init__(self, task: Task, generator: Generator, size: int) -> None:
         self.size = size
         self.running: list[tuple[Condition, Future[Result]]] = []
-        self._make = partial(_pool, task, generator)
-        self._name = generator.name
+        self._task, self._generator = task, generator
         self._pool = self._make(size)
 
     def hand_out(self, conditions: Iterable[Condition]) -> None:
@@ -103,16 +100,16 @@ class _Crew:
     def kill(self) -> None:
         _kill(self._pool)
 
+    def _make(self, size: int) -> ProcessPoolExecutor:
+        return worker_pool(size, _start, self._task, self._generator)
+
     def _alone(self, condition: Condition) -> Result:
         pool = self._make(1)
         try:
             try:
                 pool.submit(_ready).result(timeout=TIMEOUT)
             except BrokenProcessPool as error:
-                raise RuntimeError(
-                    "Worker processes die as they start. A script that attempts conditions needs "
-                    "`if __name__ == '__main__':` around what it runs, since workers import it."
-                ) from error
+                raise RuntimeError(f"Worker processes die as they start.{guard_hint()}") from error
             return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
         except (BrokenProcessPool, TimeoutError) as error:
             return self._lost(condition, type(error).__name__)
@@ -120,11 +117,7 @@ class _Crew:
             _kill(pool)
 
     def _lost(self, condition: Condition, why: str) -> Result:
-        return lost(condition, self._name, f"worker lost: {why}")
-
-
-def _pool(task: Task, generator: Generator, workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=worker_context(), initializer=_start, initargs=(task, generator))
+        return lost(condition, self._generator.name, f"worker lost: {why}")
 
 
 def _kill(pool: ProcessPoolExecutor) -> None:
