@@ -73,7 +73,7 @@ def view(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--limit", type=Whole(), default=40, help="recordings with clip and plots, spread over the difficulties"
     )
-    parser.add_argument("--no-clips", action="store_true", help="plots only, in a fiftieth of the time")
+    parser.add_argument("--no-clips", action="store_true", help="plots only, which is far quicker")
     _add_observations(parser)
     add_workers(parser)
     parser.add_argument(
