@@ -12,7 +12,7 @@ STYLE = """
 body { margin:0; background:var(--page); color:var(--ink);
   font:16px/1.55 system-ui,-apple-system,"Segoe UI",sans-serif; }
 main { max-width:960px; margin:0 auto; padding:32px 16px 64px; }
-h1 { font-size:1.75rem; line-height:1.2; margin:0 0 4px; letter-spacing:-.01em; }
+h1 { font-size:1.75rem; line-height:1.2; margin:0 0 4px; letter-spacing:-.01em; overflow-wrap:anywhere; }
 h2 { font-size:1.1rem; margin:40px 0 12px; }
 p { margin:0 0 12px; } .soft { color:var(--soft); font-size:.9rem; }
 code { font:.85em/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace; overflow-wrap:anywhere; }
@@ -35,6 +35,12 @@ figcaption { margin-top:8px; color:var(--soft); font-size:.9rem; }
 details summary { cursor:pointer; color:var(--accent); padding:4px 0; }
 dl { display:grid; grid-template-columns:max-content 1fr; gap:4px 16px; margin:0; font-size:.9rem; }
 dt { color:var(--soft); } dd { margin:0; overflow-wrap:anywhere; }
+@media (max-width:800px) {
+  main { padding:16px 12px 48px; } h1 { font-size:1.35rem; } h2 { margin-top:28px; } .card { padding:12px; }
+  .tiles { grid-template-columns:repeat(auto-fit,minmax(130px,1fr)); } .tiles b { font-size:1.5rem; }
+  th,td { padding:6px; font-size:.85rem; }
+  .scroll th:first-child,.scroll td:first-child { position:sticky; left:0; background:var(--card); }
+}
 @media print { body { background:#fff; } video { display:none; } }
 """
 
@@ -86,7 +92,7 @@ PAGE = (
 
 <section>
 <h2>Demonstration generation rate</h2>
-<div class="card scroll"><table>
+<div class="card scroll" tabindex="0"><table>
 <tr><th>generator</th><th>n</th><th>success</th><th>Wilson 95 %</th><th>std over blocks</th></tr>
 {% for report in data.reports %}
 <tr><td>{{ report.label }}</td><td>{{ report.n }}</td><td>{{ report.total.rate | percent }}</td>
@@ -125,7 +131,7 @@ PAGE = (
 
 <section>
 <h2>Why attempts failed</h2>
-<div class="card scroll"><table>
+<div class="card scroll" tabindex="0"><table>
 <tr><th>reason</th>{% for report in data.reports %}<th>{{ report.label }}</th>{% endfor %}</tr>
 {% for reason in reasons %}
 <tr><td class="text">{{ reason }}</td>
@@ -142,7 +148,7 @@ PAGE = (
 <details class="card">
 <summary>{{ data.attempts | length }} attempts
 {%- if hidden %}, the first {{ shown | length }} listed{% endif %}</summary>
-<div class="scroll"><table>
+<div class="scroll" tabindex="0"><table>
 <tr><th>condition</th><th class="text">generator</th><th>difficulty</th>
 <th class="text">outcome</th><th class="text">phase</th><th>checkpoint</th><th>duration</th></tr>
 {% for one in shown %}
@@ -181,14 +187,15 @@ COMPARISON = (
 {% for section in sections %}
 <section>
 <h2>{{ section.title }}</h2>
-<div class="card scroll"><table>
+<div class="card scroll" tabindex="0"><table>
 <tr><th>arm</th>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
 {% for name, cells in section.rows %}
-<tr><td>{{ name }}</td>{% for cell in cells %}<td>{{ cell }}</td>{% endfor %}</tr>
+<tr><td>{{ name }}</td>{% for cell in cells %}<td>{{ cell }}</td>{% endfor %}
+{% for _ in columns[cells | length:] %}<td></td>{% endfor %}</tr>
 {% endfor %}
 </table></div>
 {% if section.groups %}
-<div class="card scroll"><table>
+<div class="card scroll" tabindex="0"><table>
 <tr><th>arm</th><th>groups all lost</th><th>mixed</th><th>all won</th><th>strata won and lost again</th></tr>
 {% for row in section.groups %}
 <tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
@@ -203,12 +210,15 @@ COMPARISON = (
 </div>
 </section>
 {% endfor %}
+{% if not sections %}<p>No run has been stored yet, so there is nothing to compare.</p>{% endif %}
 <section>
 <h2>Settings</h2>
 {% for arm, values in settings.items() %}
 <details class="card"><summary>{{ arm }}</summary><dl>
 {% for name, value in values.items() %}<dt>{{ name }}</dt><dd>{{ value }}</dd>{% endfor %}
 </dl></details>
+{% else %}
+<p class="soft">No settings were stored.</p>
 {% endfor %}
 </section>
 </main>

@@ -6,7 +6,6 @@ from dynaforge.reports.template import HEAD, WIDE
 from dynaforge.reports.viewer_script import SCRIPT
 
 VIEWER_STYLE = """
-h1 { overflow-wrap:anywhere; }
 .two { display:grid; grid-template-columns:minmax(260px,340px) minmax(0,1fr); gap:16px; align-items:start; }
 .side { position:sticky; top:16px; }
 [hidden] { display:none !important; }
@@ -51,13 +50,12 @@ kbd { font:.8rem ui-monospace,Menlo,Consolas,monospace; border:1px solid var(--l
 .reason:hover { background:var(--page); } .reason i { display:block; height:14px; min-width:2px; border-radius:3px;
   background:var(--bad); } .reason b { text-align:right; font-variant-numeric:tabular-nums; }
 @media (max-width:800px) {
-  main { padding:16px 12px 48px; } h1 { font-size:1.35rem; }
   .two { grid-template-columns:minmax(0,1fr); } .side { position:static; } #list { max-height:45vh; }
   #detail { min-height:100vh; }
   .bar { position:sticky; top:0; z-index:2; background:var(--page); padding:8px 0; } #toList { display:block; }
-  .card { padding:12px; } .keys, #place { display:none; } .bar h2 { font-size:1rem; } .bar button { padding:5px 8px; }
+  .keys, #place { display:none; } .bar h2 { font-size:1rem; } .bar button { padding:5px 8px; }
   .reason { grid-template-columns:minmax(0,9em) 1fr 3em; }
-  .charts table { font-size:.85rem; } .charts th, .charts td { padding:6px 5px; }
+  .charts th, .charts td { padding:6px 4px; }
 }
 """
 
