@@ -140,7 +140,9 @@ def check_export(options: argparse.Namespace) -> None:
 def verify(parser: argparse.ArgumentParser) -> None:
     """Add the options of `verify`."""
     on_dataset(parser)
-    parser.add_argument("--replay", action="store_true", help="simulate every recording again and compare all states")
+    parser.add_argument(
+        "--replay", action="store_true", help="make every recorded attempt again and compare all that it records"
+    )
     parser.add_argument(
         "--audit", action="store_true",
         help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",

@@ -9,15 +9,20 @@ from tqdm import tqdm
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import verify
+from dynaforge.generators.repeat import Repeater
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print every finding; returns 1 when there is any."""
     dataset, task = open_dataset(options)
+    again = Repeater(task) if options.replay else None
     replayer = Replayer(task) if options.replay else None
     n, found = len(dataset), 0
     for findings in tqdm(
-        verify(dataset, replayer=replayer, audited=options.audit), total=n + 1, leave=False, unit="file"
+        verify(dataset, task=task, again=again, replayer=replayer, audited=options.audit),
+        total=n + 1,
+        leave=False,
+        unit="file",
     ):
         for finding in findings:
             tqdm.write(str(finding))

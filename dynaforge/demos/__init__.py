@@ -3,9 +3,10 @@
 from dynaforge.demos.atomic import atomic_write, check_writable
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode, episode_id
-from dynaforge.demos.episode_file import DamagedFileError, read_episode, write_episode
+from dynaforge.demos.episode_file import read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
 from dynaforge.demos.schema import SCHEMA, Field, schema_markdown
+from dynaforge.demos.untrusted import DamagedFileError
 
 __all__ = [
     "SCHEMA",

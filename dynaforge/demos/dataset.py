@@ -9,15 +9,17 @@ from pathlib import Path
 
 from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, DamagedFileError, read_episode, write_episode
+from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
+from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable, read_json
 from dynaforge.sim.checks import check_flag, check_kind, check_task_name
 
 FORMAT = "dynaforge-demonstrations"
 _MARKER = "dataset.json"
 SOURCES = "generators.json"
-_EPISODES = "episodes"
+EPISODES = "episodes"
 _LEDGER = "ledger.jsonl"
+NOTES = (_MARKER, SOURCES, _LEDGER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,7 @@ class DemonstrationDataset:
 
     Raises:
         FileNotFoundError: The folder holds no dataset and no task was given.
+        DamagedFileError: Its `dataset.json` cannot be read.
         FileExistsError: The folder holds other data.
         PermissionError: A task was given and the folder cannot be created or written to.
         ValueError: The folder belongs to another task, or was written by a newer version; or `task` may not name one.
@@ -120,12 +123,14 @@ class DemonstrationDataset:
             DamagedFileError: The file cannot be read.
         """
         path = self.path / SOURCES
-        if not path.exists():
+        try:
+            data = read_json(path)
+        except FileNotFoundError:
             return {}
         try:
-            return {str(name): Provenance(**noted) for name, noted in json.loads(path.read_bytes()).items()}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise DamagedFileError(path, f"it does not say what made the episodes ({error})") from error
+            return {name: Provenance(**noted) for name, noted in data.items()}
+        except (ValueError, TypeError, AttributeError) as error:
+            raise DamagedFileError(path, f"it does not say what made the episodes ({printable(error)})") from error
 
     def note_source(self, generator: str, source: Provenance) -> None:
         """Note what stands behind a generator's name, so that attempts of two policies or task definitions never mix.
@@ -158,12 +163,16 @@ class DemonstrationDataset:
         return sum(attempt.success for attempt in attempts) / len(attempts) if attempts else float("nan")
 
     def ids(self) -> list[str]:
-        """Return the ids of the recorded episodes, sorted."""
-        return sorted(path.stem for path in (self.path / _EPISODES).glob(f"*{SUFFIX}") if not is_temporary(path))
+        """Return the ids of the recorded episodes, sorted.
+
+        Raises:
+            DamagedFileError: `episodes` is no folder, or cannot be read.
+        """
+        return [path.stem for path in files_in(self.path / EPISODES, SUFFIX) if not is_temporary(path)]
 
     def file_of(self, episode_id: str) -> Path:
         """Return where an episode is, or would be, stored."""
-        return self.path / _EPISODES / f"{episode_id}{SUFFIX}"
+        return self.path / EPISODES / f"{episode_id}{SUFFIX}"
 
     def __len__(self) -> int:
         return len(self.ids())
@@ -194,7 +203,7 @@ class DemonstrationDataset:
             raise ValueError(f"{self.path} holds demonstrations of {self.task!r}; the attempt is one at {task!r}.")
 
     def _open_for_adding(self) -> None:
-        episodes = self.path / _EPISODES
+        episodes = self.path / EPISODES
         episodes.mkdir(exist_ok=True)
         sync_folder(self.path)
         for folder in (self.path, episodes):
@@ -225,14 +234,22 @@ def _prepare(path: Path, task: str) -> None:
 
 def _read_marker(path: Path) -> str:
     marker = path / _MARKER
+    kind = kind_of(path)
+    if kind != "a folder":
+        what = f"it is {kind}, not a folder" if kind else "there is no such folder"
+        raise FileNotFoundError(f"{printable(path)} holds no demonstrations: {what}.")
     try:
-        data = json.loads(marker.read_bytes())
-    except (FileNotFoundError, NotADirectoryError):
-        raise FileNotFoundError(f"{path} holds no demonstrations: it has no {_MARKER}.") from None
-    except ValueError as error:
-        raise DamagedFileError(marker, f"it is no JSON ({error})") from error
+        data = read_json(marker)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{printable(path)} holds no demonstrations: it has no {_MARKER}.") from None
     if not isinstance(data, dict) or data.get("format") != FORMAT or not isinstance(data.get("task"), str):
         raise DamagedFileError(marker, f"it does not describe a folder of format {FORMAT!r}")
     if data.get("version") != FORMAT_VERSION:
-        raise ValueError(f"{path} has format version {data.get('version')}; this dynaforge reads {FORMAT_VERSION}.")
+        raise ValueError(
+            f"{printable(path)} has format version {data.get('version')!r:.20}; this dynaforge reads {FORMAT_VERSION}."
+        )
+    try:
+        check_task_name("task", data["task"])  # never a path: a folder makes nothing be imported
+    except ValueError:
+        raise DamagedFileError(marker, f"{data['task']!r:.80} is no name of a task") from None
     return str(data["task"])

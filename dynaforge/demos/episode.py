@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from dynaforge.demos.schema import validate_steps
+from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, shown
 
@@ -125,13 +125,17 @@ class Episode:
         """Rebuild an episode from `header` and its arrays.
 
         Raises:
-            ValueError: A field is missing, or the arrays do not fit the schema.
+            ValueError: A field is missing, unknown or of another type, or the arrays do not fit the schema.
         """
         names = ("generator", "success", "checkpoint", "failure", "phase", "duration")
         if missing := [name for name in (*names, "condition", "meta") if name not in header]:
             raise ValueError(f"Episode header lacks {missing}.")
+        check_meta(header["meta"])
         fields: dict[str, Any] = {name: header[name] for name in names}
-        return Episode(Condition.from_dict(header["condition"]), **fields, steps=steps, meta=header["meta"])
+        episode = Episode(Condition.from_dict(header["condition"]), **fields, steps=steps, meta=header["meta"])
+        if episode.header() != dict(header):
+            raise ValueError("Episode header is not one that an episode writes: unknown or rounded values.")
+        return episode
 
     def content_hash(self) -> str:
         """Return the SHA-256 over header and arrays: the same in every process and for every file layout."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,20 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
+from dynaforge.demos.untrusted import (
+    MALFORMED,
+    DamagedFileError,
+    check_links,
+    parse_json,
+    printable,
+    read_array,
+    read_file,
+    read_text,
+)
 
 FORMAT_VERSION = 2
 SUFFIX = ".h5"
+LONGEST = 2**28  # bytes of an episode that is read: hours at control rate
 _USER_BLOCK = 512
 _MAGIC = b"DYNAFORGE-EPISODE"
 _IN_MEMORY = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
@@ -36,25 +47,6 @@ _LAID_OUT.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
 _LAID_OUT.set_obj_track_times(False)
 _TEXT = h5py.string_dtype()
 _TEXT_TYPE = h5py.h5t.py_create(_TEXT, logical=True)
-
-
-class DamagedFileError(ValueError):
-    """A file is not what was once written under its name; the message names it.
-
-    Args:
-        path: The file.
-        reason: What is wrong with it.
-        again: How it is made again, once deleted.
-    """
-
-    def __init__(self, path: str | Path, reason: str, *, again: str = "collect") -> None:
-        super().__init__(f"{path} is damaged: {reason}. Restore it from a copy, or delete it and {again} again.")
-        self.path = Path(path)
-        self.reason = reason
-        self.again = again
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return partial(DamagedFileError, again=self.again), (self.path, self.reason)
 
 
 def write_episode(path: str | Path, episode: Episode) -> None:
@@ -73,12 +65,12 @@ def read_episode(path: str | Path) -> Episode:
         FileNotFoundError: There is no such file.
         DamagedFileError: The file was altered, cut off, or is no episode.
     """
-    data = Path(path).read_bytes()
+    data = read_file(Path(path), at_most=LONGEST)
     check_seal(path, data)
     try:
         return Episode.from_header(*_decode(data))
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
-        raise DamagedFileError(path, f"its content is no episode ({error})") from error
+    except MALFORMED as error:
+        raise DamagedFileError(path, f"its content is no episode ({printable(error)})") from error
 
 
 def write_sealed(path: str | Path, body: bytes) -> None:
@@ -150,5 +142,13 @@ def _hdf5_type(dtype: np.dtype[Any]) -> Any:
 
 def _decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     with h5py.File(io.BytesIO(data), "r") as file:
-        steps = file["steps"][()] if "steps" in file else np.empty(0, [])
-        return json.loads(file.attrs["header"]), {name: steps[name] for name in steps.dtype.names or ()}
+        check_links(file)
+        header = parse_json(read_text(file, "header"))
+        if not isinstance(header, dict):
+            raise ValueError("its header is no mapping")
+        if "steps" not in file:
+            return header, {}
+        steps = read_array(file, "steps", at_most=len(data))
+        if steps.dtype.names is None or steps.ndim != 1:
+            raise ValueError("steps is no table")
+        return header, {name: steps[name] for name in steps.dtype.names}

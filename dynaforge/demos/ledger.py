@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dynaforge.demos.atomic import naming
 from dynaforge.demos.episode import Episode, check_outcome, episode_id
+from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
+
+LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
+LINE = 2**20  # bytes of a line at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,20 +139,33 @@ class Ledger:
             os.close(descriptor)
 
     def attempts(self) -> list[Attempt]:
-        """Return the attempts in order of writing; of several with one id, the first."""
+        """Return the attempts in order of writing; of several with one id, the first.
+
+        Raises:
+            DamagedFileError: The file cannot be read at all.
+        """
+        return self.read()[0]
+
+    def damaged_lines(self) -> list[int]:
+        """Return the numbers, from 1, of the lines that were torn or altered; raises as `attempts`."""
+        return self.read()[1]
+
+    def read(self) -> tuple[list[Attempt], list[int]]:
+        """Return `attempts` and `damaged_lines` of one reading."""
         found: dict[str, Attempt] = {}
-        for line in self._lines():
+        damaged: list[int] = []
+        for number, line in enumerate(self._lines(), 1):
             attempt = _parse(line)
             if attempt is not None:
                 found.setdefault(attempt.id, attempt)
-        return list(found.values())
+            elif line:
+                damaged.append(number)
+        return list(found.values()), damaged
 
-    def damaged_lines(self) -> list[int]:
-        """Return the numbers, from 1, of the lines that were torn or altered."""
-        return [number for number, line in enumerate(self._lines(), 1) if line and _parse(line) is None]
-
-    def _lines(self) -> list[bytes]:
-        return self.path.read_bytes().split(b"\n") if self.path.exists() else []
+    def _lines(self) -> Iterator[bytes]:
+        with contextlib.suppress(FileNotFoundError), open_file(self.path, at_most=LONGEST) as file:
+            while line := file.readline(LINE):
+                yield line.removesuffix(b"\n")
 
 
 def _line(attempt: Attempt) -> bytes:
@@ -157,8 +175,8 @@ def _line(attempt: Attempt) -> bytes:
 
 def _parse(line: bytes) -> Attempt | None:
     try:
-        record = json.loads(line)
+        record = parse_json(line)
         attempt = Attempt.from_dict(record["attempt"])
-    except (ValueError, KeyError, TypeError):
+        return attempt if _line(attempt) == line + b"\n" else None  # the line as written, byte for byte
+    except MALFORMED:
         return None
-    return attempt if _line(attempt) == line + b"\n" else None  # the line as written, byte for byte

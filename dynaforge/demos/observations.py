@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -11,21 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import SUFFIX, DamagedFileError, check_seal, write_sealed
+from dynaforge.demos.episode_file import SUFFIX
+from dynaforge.demos.observation_file import AGAIN, SETTINGS, Layout, read_observations, write_observations
+from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_of, parse_json, printable, read_file
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task
 
 WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
 FOLDER = "observations"
-SETTINGS = "settings.json"
-AGAIN = "render"  # how a damaged file is made again
 _CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
 
@@ -65,6 +63,23 @@ class ObservationSettings:
             raise ValueError(f"Observations need at least one camera, and names that differ; given {names}.")
         if self.points < 0 or not (self.images or self.points):
             raise ValueError("Nothing to render: keep the images, or ask for at least one point.")
+
+    @property
+    def layout(self) -> Layout:
+        """Shape of one control step and type of each array."""
+        found: dict[str, tuple[tuple[int, ...], str]] = {}
+        for camera in self.cameras:
+            width, height = camera.size
+            if self.images:
+                found |= {
+                    f"{camera.name}/rgb": ((height, width, 3), "uint8"),
+                    f"{camera.name}/depth": ((height, width), "uint16"),
+                    f"{camera.name}/segmentation": ((height, width), "int8"),
+                }
+            found |= {f"{camera.name}/position": ((3,), "float64"), f"{camera.name}/quat_wxyz": ((4,), "float64")}
+        if self.points:
+            found |= {"points": ((self.points, 3), "float16"), "point_colors": ((self.points, 3), "uint8")}
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON data, with the intrinsics for readers that know no field of view."""
@@ -183,71 +198,6 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
     return np.asarray(chosen, dtype=np.int64)
 
 
-def write_observations(
-    path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], *, things: list[str], settings: str = ""
-) -> None:
-    """Write the observations of an episode, whole or not at all.
-
-    Args:
-        path: Where.
-        episode: Of which recording.
-        arrays: What `ObservationRenderer.render` returned.
-        things: What the numbers of its segmentations stand for.
-        settings: Digest of the settings file beside it.
-    """
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver="latest") as file:
-        file.attrs["episode"] = episode.id
-        file.attrs["content_hash"] = episode.content_hash()
-        file.attrs["settings"] = settings
-        file.attrs["things"] = json.dumps(things)
-        for name, array in arrays.items():
-            image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
-            pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
-            chunks = (1, *array.shape[1:]) if image else None
-            file.create_dataset(name, data=array, chunks=chunks, **pressed)
-    write_sealed(path, buffer.getvalue())
-
-
-def read_observations(path: Path, *, of: Episode | None = None, settings: str | None = None) -> dict[str, NDArray[Any]]:
-    """Read the observations of an episode after checking every byte.
-
-    Args:
-        path: Their file.
-        of: The episode they are to belong to, to the bit.
-        settings: Digest of the settings file that they are to have been rendered with.
-
-    Raises:
-        FileNotFoundError: There are none.
-        DamagedFileError: The file was altered or cut off, or is of another recording or other settings.
-    """
-    data = path.read_bytes()
-    check_seal(path, data, again=AGAIN)
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            arrays = _read_arrays(file)
-            recording, rendered_with = str(file.attrs["content_hash"]), str(file.attrs["settings"])
-    except (OSError, KeyError, RuntimeError) as error:
-        raise DamagedFileError(path, f"its content cannot be read ({error})", again=AGAIN) from error
-    if of is not None and of.content_hash() != recording:
-        raise DamagedFileError(path, "it was rendered from another recording", again=AGAIN)
-    if settings is not None and settings != rendered_with:
-        raise DamagedFileError(path, f"it was rendered with other settings than {SETTINGS} holds", again=AGAIN)
-    return arrays
-
-
-def _read_arrays(group: Any) -> dict[str, NDArray[Any]]:
-    """Read every dataset below an HDF5 group, by its path there."""
-    arrays: dict[str, NDArray[Any]] = {}
-
-    def collect(name: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            arrays[name] = np.asarray(item[()])
-
-    group.visititems(collect)
-    return arrays
-
-
 class ObservationFolder:
     """Rendered observations beside a dataset's episodes: `settings.json` and one file an episode.
 
@@ -257,22 +207,25 @@ class ObservationFolder:
 
     Raises:
         FileNotFoundError: No settings were given and the folder holds none.
-        DamagedFileError: Its settings cannot be read.
+        DamagedFileError: It is no folder, or its settings cannot be read.
         ValueError: The folder holds observations with other settings.
     """
 
     def __init__(self, path: str | Path, settings: ObservationSettings | None = None) -> None:
         self.path = Path(path)
+        if (kind := kind_of(self.path)) not in ("", "a folder"):
+            raise DamagedFileError(self.path, f"it is {kind}, not a folder", again=AGAIN)
         marker = self.path / SETTINGS
-        if not marker.exists():
+        if not kind_of(marker):
             if settings is None:
                 raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
             self.path.mkdir(parents=True, exist_ok=True)
             atomic_write(marker, json.dumps(settings.to_dict(), indent=1).encode() + b"\n")
-        self.settings = _read_settings(marker)
+        text = read_file(marker, at_most=NOTES, again=f"{AGAIN} everything")
+        self.settings = _settings(marker, text)
         if settings is not None and settings != self.settings:
             raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
-        self._digest = hashlib.sha256(marker.read_bytes()).hexdigest()[:16]
+        self._digest = hashlib.sha256(text).hexdigest()[:16]
 
     def file_of(self, episode_id: str) -> Path:
         """Return where the observations of an episode are, or would be."""
@@ -288,7 +241,7 @@ class ObservationFolder:
 
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
         """Read the observations of an episode, as `read_observations`."""
-        return read_observations(self.file_of(episode_id), settings=self._digest)
+        return read_observations(self.file_of(episode_id), settings=self._digest, layout=self.settings.layout)
 
     def of(self, episode: Episode) -> dict[str, NDArray[Any]]:
         """Read the observations of this very recording.
@@ -296,11 +249,14 @@ class ObservationFolder:
         Raises:
             FileNotFoundError, DamagedFileError: As `read_observations`.
         """
-        return read_observations(self.file_of(episode.id), of=episode, settings=self._digest)
+        layout = self.settings.layout if len(episode) else None  # nothing was rendered of no step
+        return read_observations(self.file_of(episode.id), of=episode, settings=self._digest, layout=layout)
 
 
-def _read_settings(path: Path) -> ObservationSettings:
+def _settings(path: Path, text: bytes) -> ObservationSettings:
     try:
-        return ObservationSettings.from_dict(json.loads(path.read_bytes()))
-    except (OSError, ValueError) as error:
-        raise DamagedFileError(path, f"it holds no settings ({error})", again=f"{AGAIN} everything") from error
+        return ObservationSettings.from_dict(parse_json(text))
+    except MALFORMED as error:
+        raise DamagedFileError(
+            path, f"it holds no settings ({printable(error)})", again=f"{AGAIN} everything"
+        ) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -67,6 +67,36 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
 """Names of `Episode.steps`. `<name>` stands for a body's name; names under `extra/` are free."""
 
 
+LONGEST_STEP = 10.0  # seconds: digests are made of every second, so a leap in time would cost memory
+_META: Mapping[str, tuple[str, Callable[[Any], bool]]] = {
+    "phases": ("a list of names", lambda value: _all_text(value, list)),
+    "state_digests": ("a list of digests", lambda value: _all_text(value, list)),
+    "versions": ("a mapping of names to versions", lambda value: _all_text(value, dict)),
+    "task_hash": ("a digest", lambda value: isinstance(value, str)),
+    "policy_hash": ("a digest", lambda value: isinstance(value, str)),
+    "contact_time": ("seconds, or null", lambda value: value is None or type(value) in (int, float)),
+    "planned_contact_time": ("seconds, or null", lambda value: value is None or type(value) in (int, float)),
+}
+
+
+def _all_text(value: Any, kind: type[list[Any] | dict[Any, Any]]) -> bool:
+    items = value.values() if isinstance(value, dict) else value
+    return isinstance(value, kind) and all(isinstance(item, str) for item in items)
+
+
+def check_meta(meta: Any) -> None:
+    """Make sure that what is known of `Episode.meta` is of its type; other names are free.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if not isinstance(meta, Mapping):
+        raise ValueError("its meta is no mapping")
+    for name, (kind, holds) in _META.items():
+        if name in meta and not holds(meta[name]):
+            raise ValueError(f"its {name} is {meta[name]!r:.80}, where {kind} is expected")
+
+
 def field_of(name: str) -> Field | None:
     """Look a recorded name up; None for a free name under `extra/`.
 
@@ -101,8 +131,9 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         return arrays
     if "time" not in arrays:
         raise ValueError("Steps need 'time', the simulated seconds of each control step.")
-    if np.any(np.diff(arrays["time"]) <= 0.0):
-        raise ValueError("Step quantity 'time' must increase from step to step.")
+    gaps = np.diff(arrays["time"], prepend=0.0)
+    if not (np.all(gaps[1:] > 0.0) and np.all(np.abs(gaps) < LONGEST_STEP)):
+        raise ValueError(f"Step quantity 'time' must increase from step to step, by less than {LONGEST_STEP:g} s.")
     return arrays
 
 

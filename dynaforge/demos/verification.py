@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from dynaforge.demos.atomic import is_temporary
 from dynaforge.demos.audit import audit
-from dynaforge.demos.dataset import SOURCES, DemonstrationDataset
+from dynaforge.demos.consistency import contradictions
+from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
+from dynaforge.demos.differences import differences
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import SUFFIX, DamagedFileError
+from dynaforge.demos.episode_file import SUFFIX
 from dynaforge.demos.ledger import Attempt
+from dynaforge.demos.observation_file import SETTINGS
 from dynaforge.demos.observations import FOLDER as OBSERVATIONS
-from dynaforge.demos.observations import SETTINGS, ObservationFolder
+from dynaforge.demos.observations import ObservationFolder
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
+from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, files_in, kind_of, printable
+from dynaforge.planning import ArmKinematics
+from dynaforge.sim import franka
+from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,127 +44,214 @@ class Finding:
     problem: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.problem}"
+        return printable(f"{self.path}: {self.problem}")
 
 
-def verify_folder(dataset: DemonstrationDataset) -> list[Finding]:
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What a folder notes beside its recordings, read once.
+
+    Attributes:
+        names: Ids of the recordings.
+        attempts: The ledger, by id.
+        sources: `generators.json`; None where it cannot be read.
+        observations: The rendered observations; None where there are none, or their settings cannot be read.
+        findings: What was wrong with all this.
+    """
+
+    names: list[str] = field(default_factory=list)
+    attempts: Mapping[str, Attempt] = field(default_factory=dict)
+    sources: Mapping[str, Provenance] | None = None
+    observations: ObservationFolder | None = None
+    findings: list[Finding] = field(default_factory=list)
+
+
+def read_notes(dataset: DemonstrationDataset) -> Notes:
+    """Read what there is beside the recordings, each file once; what cannot be read is a finding."""
+    found: list[Finding] = []
+
+    def reading(read: Callable[[], _T]) -> _T | None:
+        try:
+            return read()
+        except DamagedFileError as error:
+            found.append(Finding(error.path, error.reason))
+            return None
+
+    names = reading(dataset.ids) or []
+    attempts, damaged = reading(dataset.ledger.read) or ([], [])
+    found += [Finding(dataset.ledger.path, f"line {n} was torn or altered") for n in damaged]
+    sources = reading(dataset.sources)
+    folder = dataset.path / OBSERVATIONS
+    try:
+        observations = reading(lambda: ObservationFolder(folder))
+    except FileNotFoundError:
+        observations = None
+        if kind_of(folder):
+            found.append(Finding(folder / SETTINGS, "it is missing"))
+    return Notes(names, {attempt.id: attempt for attempt in attempts}, sources, observations, found)
+
+
+def verify_folder(dataset: DemonstrationDataset, notes: Notes) -> list[Finding]:
     """Check the ledger against the recordings, both ways, and that nothing else lies among the files.
 
     Lines lost from the ledger are seen by the recordings they spoke of; of a lost failure that left none, nothing is.
     """
-    ledger, names = dataset.ledger.path, set(dataset.ids())
-    found = [Finding(ledger, f"line {n} was torn or altered") for n in dataset.ledger.damaged_lines()]
-    noted = dataset.ledger.attempts()
+    ledger, names, noted = dataset.ledger.path, set(notes.names), notes.attempts.values()
+    found = list(notes.findings)
     for attempt in noted:
         if attempt.condition.task != dataset.task:
             found.append(Finding(ledger, f"attempt {attempt.id} is one at task {attempt.condition.task!r}"))
-    for attempt in dataset.lost():
-        found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
-    for name in sorted(names - {attempt.id for attempt in noted}):
+        if (attempt.success or attempt.recorded) and attempt.id not in names:
+            found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
+    for name in sorted(names - set(notes.attempts)):
         found.append(Finding(ledger, f"no line tells of {name}: lost, or a kill fell before it (`collect` adds it)"))
-    try:
-        dataset.sources()
-    except DamagedFileError as error:
-        found.append(Finding(error.path, error.reason))
-    return found + _strangers(dataset.path / "episodes", names) + _observation_findings(dataset, names)
+    if notes.sources == {} and (names or noted):
+        found.append(Finding(dataset.path / SOURCES, "it is missing, so nothing says what made the attempts"))
+    found += [Finding(path, f"it is {kind_of(path)}") for path in files_in(dataset.path) if _odd(path)]
+    return found + _strangers(dataset.path / EPISODES, names) + _strangers(dataset.path / OBSERVATIONS, names, SETTINGS)
+
+
+def _odd(path: Path) -> bool:
+    """Tell whether something is neither file nor folder, and is not looked at by its name anyway."""
+    return kind_of(path) not in ("a file", "a folder") and path.name not in (EPISODES, OBSERVATIONS, *NOTES)
 
 
 def _strangers(folder: Path, names: set[str], *others: str) -> list[Finding]:
     """Find files that are none of a folder's; a file under way is one."""
+    try:
+        paths = files_in(folder)
+    except DamagedFileError:  # said of the folder
+        return []
     return [
         Finding(path, "it belongs to no episode here")
-        for path in (sorted(folder.iterdir()) if folder.is_dir() else [])
+        for path in paths
         if not (path.suffix == SUFFIX and path.stem in names) and path.name not in others and not is_temporary(path)
     ]
 
 
-def _observation_findings(dataset: DemonstrationDataset, names: set[str]) -> list[Finding]:
-    folder = dataset.path / OBSERVATIONS
-    found = _strangers(folder, names, SETTINGS)
-    if folder.is_dir():
-        try:
-            ObservationFolder(folder)
-        except FileNotFoundError:
-            found.append(Finding(folder / SETTINGS, "it is missing"))
-        except DamagedFileError as error:
-            found.append(Finding(error.path, error.reason))
-    return found
-
-
-def verify_episode(
-    dataset: DemonstrationDataset, name: str, noted: Attempt | None, replayer: Replayer | None = None, *,
-    audited: bool = False,
-) -> list[Finding]:  # fmt: skip
-    """Check one recording, what was rendered of it, and its physics if a replayer is given.
+class EpisodeVerifier:
+    """Checks one recording after the other, what was rendered of it, and its physics if that is asked for.
 
     Args:
-        dataset: Where it is.
-        name: Its id.
-        noted: Its line in the ledger; None where a kill fell between the two.
-        replayer: Simulates it again.
+        dataset: Where they are.
+        notes: What lies beside them.
+        task: Of which they are; without it their columns are not compared with each other.
+        again: Makes an attempt again from its recording, as `dynaforge.generators.repeat.Repeater` does.
+        replayer: Simulates what an attempt made again does not repeat, and looks for deep overlaps.
         audited: Look for motion that is not possible, too.
     """
-    path = dataset.file_of(name)
-    try:
-        episode = dataset[name]
-    except DamagedFileError as error:
-        return [Finding(path, error.reason)]
-    problems = [
-        *_wrong_values(episode),
-        *_wrong_digests(episode),
-        *_wrong_source(dataset, episode),
-        *_wrong_outcome(episode, noted),
-    ]
-    if replayer is not None:
-        if episode.meta.get("task_hash", task_digest(replayer.task)) != task_digest(replayer.task):
-            problems.append(f"it was recorded with another definition of task {dataset.task!r}")
+
+    def __init__(
+        self, dataset: DemonstrationDataset, notes: Notes, *, task: Task | None = None,
+        again: Callable[[Episode], Episode] | None = None, replayer: Replayer | None = None, audited: bool = False,
+    ) -> None:  # fmt: skip
+        self._dataset, self._notes, self._task = dataset, notes, task
+        self._again, self._replayer, self._audited = again, replayer, audited
+        self._kinematics = ArmKinematics(franka()) if task is not None else None
+
+    def __call__(self, name: str) -> list[Finding]:
+        """Check a recording by its id; whatever is wrong with it is a finding, and never an exception."""
+        path = self._dataset.file_of(name)
         try:
-            replay = replayer.replay(episode)
-        except ValueError as error:
-            problems.append(str(error))
-        else:
-            if replay.divergence is not None:
-                problems.append(f"its replay leaves the recording: {replay.divergence}{_versions(episode)}")
-            elif replay.success != episode.success:
-                problems.append(f"its success is recorded as {episode.success}, its replay ends in {replay.success}")
-    if audited:
-        problems += map(str, audit(episode, replayer=replayer))
-    return [Finding(path, problem) for problem in problems] + _wrong_observations(dataset, episode)
+            episode = self._dataset[name]
+        except DamagedFileError as error:
+            return [Finding(path, error.reason)]
+        except KeyError:
+            return [Finding(path, "it was there when the folder was listed, and is gone")]
+        with np.errstate(all="ignore"):  # what a forger writes may overflow
+            problems = [problem for check in self._checks(episode) for problem in _outcome_of(check, episode)]
+        return [Finding(path, problem) for problem in problems] + self._wrong_observations(episode)
+
+    def _checks(self, episode: Episode) -> Iterator[Callable[[Episode], Iterable[str]]]:
+        yield _wrong_digests
+        yield self._wrong_source
+        yield self._wrong_outcome
+        if problems := list(_wrong_values(episode)):
+            yield lambda _: problems
+            return  # nothing below means anything where numbers are missing
+        yield self._wrong_columns
+        yield self._wrong_physics
+        if self._audited:
+            yield lambda episode: map(str, audit(episode, replayer=self._replayer))
+
+    def _wrong_columns(self, episode: Episode) -> Iterator[str]:
+        if self._task is None or self._kinematics is None:
+            return
+        if episode.meta.get("task_hash", task_digest(self._task)) != task_digest(self._task):
+            yield f"it was recorded with another definition of task {self._dataset.task!r}"
+        yield from contradictions(episode, self._task, self._kinematics)
+
+    def _wrong_physics(self, episode: Episode) -> Iterator[str]:
+        found = differences(episode, self._again(episode)) if self._again is not None else []
+        yield from (f"{problem}{_versions(episode)}" for problem in found)
+        if self._replayer is None or (self._again is not None and not found):
+            return  # an attempt that repeats to the bit has repeated its physics
+        replay = self._replayer.replay(episode)
+        if replay.divergence is not None:
+            yield f"its replay leaves the recording: {replay.divergence}{_versions(episode)}"
+        elif replay.success != episode.success:
+            yield f"its success is recorded as {episode.success}, its replay ends in {replay.success}"
+
+    def _wrong_source(self, episode: Episode) -> Iterator[str]:
+        sources = self._notes.sources
+        if not sources:  # said of the folder
+            return
+        source = sources.get(episode.generator)
+        if source is None:
+            yield f"{SOURCES} does not know its generator {episode.generator!r}"
+            return
+        for name, noted in (("policy_hash", source.policy), ("task_hash", source.task_definition)):
+            if episode.meta.get(name, "") != noted:
+                yield f"its {name} is {episode.meta.get(name, '')!r}, {SOURCES} notes {noted!r}"
+
+    def _wrong_outcome(self, episode: Episode) -> Iterator[str]:
+        rewards = episode.steps.get("reward")
+        if rewards is not None and len(rewards):
+            if rewards[:-1].any():
+                yield "it has a reward before its last step"
+            if (rewards[-1] == 1.0) != episode.success:
+                yield f"its last reward is {rewards[-1]:g}, its success {episode.success}"
+        if (noted := self._notes.attempts.get(episode.id)) is not None:
+            found = Attempt.of(episode).to_dict()
+            for name, value in noted.to_dict().items():
+                if name not in ("wall_seconds", "block", "recorded") and value != found[name]:
+                    yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
+
+    def _wrong_observations(self, episode: Episode) -> list[Finding]:
+        try:
+            if self._notes.observations is not None:
+                self._notes.observations.of(episode)
+        except FileNotFoundError:
+            return []
+        except DamagedFileError as error:
+            return [Finding(error.path, error.reason)]
+        return []
 
 
 def verify(
-    dataset: DemonstrationDataset, *, replayer: Replayer | None = None, audited: bool = False
-) -> Iterator[list[Finding]]:
-    """Check everything: yields the findings of the folder as a whole, then of each recording in turn."""
-    yield verify_folder(dataset)
-    noted = {attempt.id: attempt for attempt in dataset.ledger.attempts()}
-    for name in dataset.ids():
-        yield verify_episode(dataset, name, noted.get(name), replayer, audited=audited)
+    dataset: DemonstrationDataset, *, task: Task | None = None, again: Callable[[Episode], Episode] | None = None,
+    replayer: Replayer | None = None, audited: bool = False,
+) -> Iterator[list[Finding]]:  # fmt: skip
+    """Check everything: yields the findings of the folder as a whole, then of each recording in turn.
+
+    Args:
+        dataset, task, again, replayer, audited: As `EpisodeVerifier`.
+    """
+    notes = read_notes(dataset)
+    yield verify_folder(dataset, notes)
+    yield from map(
+        EpisodeVerifier(dataset, notes, task=task, again=again, replayer=replayer, audited=audited), notes.names
+    )
 
 
-def _wrong_observations(dataset: DemonstrationDataset, episode: Episode) -> list[Finding]:
+def _outcome_of(check: Callable[[Episode], Iterable[str]], episode: Episode) -> list[str]:
+    """Run a check to its end, or to where something in the recording stops it, which is a problem itself."""
+    problems: list[str] = []
     try:
-        ObservationFolder(dataset.path / OBSERVATIONS).of(episode)
-    except FileNotFoundError:
-        return []
-    except DamagedFileError as error:
-        return [Finding(error.path, error.reason)]
-    return []
-
-
-def _wrong_source(dataset: DemonstrationDataset, episode: Episode) -> Iterator[str]:
-    try:
-        sources = dataset.sources()
-    except DamagedFileError:  # said of the folder
-        return
-    source = sources.get(episode.generator)
-    if source is None:
-        if sources:
-            yield f"{SOURCES} does not know its generator {episode.generator!r}"
-        return
-    for name, noted in (("policy_hash", source.policy), ("task_hash", source.task_definition)):
-        if episode.meta.get(name, "") != noted:
-            yield f"its {name} is {episode.meta.get(name, '')!r}, {SOURCES} notes {noted!r}"
+        problems.extend(check(episode))
+    except MALFORMED as error:
+        problems.append(f"it cannot be checked to the end: {printable(error) or type(error).__name__}")
+    return problems
 
 
 def _wrong_values(episode: Episode) -> Iterator[str]:
@@ -171,20 +268,6 @@ def _wrong_digests(episode: Episode) -> Iterator[str]:
         yield f"its states differ from their digest at second {second}"
 
 
-def _wrong_outcome(episode: Episode, noted: Attempt | None) -> Iterator[str]:
-    rewards = episode.steps.get("reward")
-    if rewards is not None and len(rewards):
-        if rewards[:-1].any():
-            yield "it has a reward before its last step"
-        if (rewards[-1] == 1.0) != episode.success:
-            yield f"its last reward is {rewards[-1]:g}, its success {episode.success}"
-    if noted is not None:
-        found = Attempt.of(episode).to_dict()
-        for name, value in noted.to_dict().items():
-            if name not in ("wall_seconds", "block", "recorded") and value != found[name]:
-                yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
-
-
 def _versions(episode: Episode) -> str:
     from importlib.metadata import PackageNotFoundError, version
 
@@ -192,7 +275,7 @@ def _versions(episode: Episode) -> str:
     for package, recorded in dict(episode.meta.get("versions", {})).items():
         try:
             here = version(package)
-        except PackageNotFoundError:
+        except (PackageNotFoundError, ValueError):
             here = "missing"
         if here != recorded:
             changed.append(f"{package} {recorded}, here {here}")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dynaforge.demos import Episode
 from dynaforge.demos.episode import check_generator_name
 from dynaforge.demos.schema import state_digests
+from dynaforge.envs.executor import Outcome
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
@@ -66,31 +67,50 @@ class ResidualGenerator:
         env.world.listeners.append(recorder)
         try:
             observation, _ = env.reset(options={"condition": condition})
-            done, info, reward = False, dict[str, Any](), 0.0
+            done = False
             while not done:
-                observation, reward, done, _, info = env.step(self.policy(observation))
+                observation, _, done, _, _ = env.step(self.policy(observation))
         finally:
             env.world.listeners.remove(recorder)
-        steps = recorder.arrays(reward)
-        return Episode(
-            condition=condition,
-            generator=self.name,
-            success=info["is_success"],
-            checkpoint=info["checkpoint"],
-            failure=info["failure"],
-            phase=info["phase"],
-            duration=env.world.state.time,
-            steps=steps,
-            meta={
-                "phases": [phase.name for phase in env.task.phases],
-                "planned_contact_time": _first_time(steps, steps["phase"] >= env.task.contact_phase) if steps else None,
-                "contact_time": _first_time(steps, steps["left_contact"] | steps["right_contact"]) if steps else None,
-                "state_digests": state_digests(steps),
-                "task_hash": task_digest(env.task),
-                "policy_hash": self.policy_hash,
-                "versions": {name: version(name) for name in PACKAGES},
-            },
+        assert env.executor.outcome is not None
+        return episode_of(
+            env, recorder, env.executor.outcome, condition, generator=self.name, policy_hash=self.policy_hash
         )
+
+
+def episode_of(
+    env: ResidualEnv, recorder: Recorder, outcome: Outcome, condition: Condition, *, generator: str, policy_hash: str
+) -> Episode:  # fmt: skip
+    """Put together what was recorded of an attempt that has just ended.
+
+    Args:
+        env: Where it ran.
+        recorder: Which listened.
+        outcome: How it ended.
+        condition: At which it was made.
+        generator: Name of what made it.
+        policy_hash: Digest of the policy; "" without one.
+    """
+    steps = recorder.arrays(outcome.episodic_return(env.task.n_checkpoints))
+    return Episode(
+        condition=condition,
+        generator=generator,
+        success=outcome.success,
+        checkpoint=outcome.checkpoint,
+        failure=outcome.failure,
+        phase=outcome.phase,
+        duration=env.world.state.time,
+        steps=steps,
+        meta={
+            "phases": [phase.name for phase in env.task.phases],
+            "planned_contact_time": _first_time(steps, steps["phase"] >= env.task.contact_phase) if steps else None,
+            "contact_time": _first_time(steps, steps["left_contact"] | steps["right_contact"]) if steps else None,
+            "state_digests": state_digests(steps),
+            "task_hash": task_digest(env.task),
+            "policy_hash": policy_hash,
+            "versions": {name: version(name) for name in PACKAGES},
+        },
+    )
 
 
 def _first_time(steps: Mapping[str, NDArray[Any]], holds: NDArray[np.bool_]) -> float | None:

@@ -13,6 +13,7 @@ import pytest
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset, Episode, audit
 from dynaforge.demos.audit import Flag
+from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.replay import Replayer
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
@@ -111,6 +112,7 @@ def test_verify_tells_of_flags(can: Episode, tmp_path: Path, capsys: pytest.Capt
     steps = {name: column.copy() for name, column in can.steps.items()}
     snap(steps)
     dataset.add(replace(can, steps=steps))
+    dataset.note_source(can.generator, Provenance("", can.meta["task_hash"]))
     assert main(["verify", str(tmp_path)]) == 0
     assert main(["verify", str(tmp_path), "--audit"]) == 1
     assert f"{can.id}.h5: the hand opens or closes" in capsys.readouterr().out

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from dynaforge.demos import DamagedFileError, Episode
+from dynaforge.demos.observation_file import read_observations, write_observations
 from dynaforge.demos.observations import (
     ObservationFolder,
     ObservationRenderer,
     ObservationSettings,
     farthest_points,
-    read_observations,
     standard_cameras,
-    write_observations,
 )
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly

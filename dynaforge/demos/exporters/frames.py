@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import DamagedFileError
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ACTION_MODES, JOINTS, ROTATIONS, ActionLayout, without_jumps
@@ -231,22 +230,14 @@ def _objects(steps: Mapping[str, NDArray[Any]]) -> dict[str, Floats]:
 
 
 def _seen(observations: ObservationFolder | None, episode: Episode) -> dict[str, Any]:
-    """Return what was rendered: pictures and depth by camera, points and their colours.
-
-    Cameras are those of the settings, whose names are checked; in a file may stand any.
-    """
+    """Return what was rendered: pictures and depth by camera, points and their colours; a file of others is refused."""
     if observations is None:
         return {"rgb": {}, "depth": {}, "points": None, "point_colors": None}
     settings, arrays = observations.settings, observations.of(episode)
     cameras = [camera.name for camera in settings.cameras] if settings.images else []
-    clouds = ["points", "point_colors"] if settings.points else []
-    for name in (*(f"{camera}/{kind}" for camera in cameras for kind in ("rgb", "depth")), *clouds):
-        if name not in arrays or len(arrays[name]) != len(episode):
-            reason = f"it does not hold {name!r} of {len(episode)} control steps"
-            raise DamagedFileError(observations.file_of(episode.id), reason, again="render")
     return {
         "rgb": {name: arrays[f"{name}/rgb"] for name in cameras},
         "depth": {name: arrays[f"{name}/depth"] for name in cameras},
-        "points": arrays["points"].astype(np.float32) if clouds else None,
-        "point_colors": arrays["point_colors"] if clouds else None,
+        "points": arrays["points"].astype(np.float32) if settings.points else None,
+        "point_colors": arrays["point_colors"] if settings.points else None,
     }

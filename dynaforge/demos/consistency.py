@@ -1,0 +1,195 @@
+"""Whether an episode's columns fit each other and its task, which is found without simulating anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos.episode import Episode
+from dynaforge.geometry import Array, Pose, matrix_from_quat, matrix_from_rotvec
+from dynaforge.planning import ArmKinematics
+from dynaforge.tasks import Task
+
+EXACT = 1e-9  # metres, radians, seconds: what another machine's rounding may make of a sum
+MEASURED = 1e-6  # metres, and parts of a unit quaternion: Bullet's kinematics against Pinocchio's
+Steps = Mapping[str, NDArray[Any]]
+
+
+def contradictions(episode: Episode, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
+    """Compare every column that follows from others with what it follows from; columns that are missing are left out.
+
+    Args:
+        episode: What was recorded.
+        task: Of the definition that it was recorded with.
+        kinematics: Of the arm.
+
+    Yields:
+        What contradicts what, and the first step of it.
+    """
+    yield from _outcome(episode, task)
+    if len(episode):
+        yield from _clock(episode, task)
+        yield from _program(episode, task)
+        yield from _residual(episode.steps, task)
+        yield from _request(episode.steps)
+        yield from _projection(episode.steps, task, kinematics)
+        yield from _hand(episode.steps, kinematics)
+        yield from _contact(episode, task)
+
+
+def _first(wrong: Any, text: str) -> Iterator[str]:
+    """Yield a text with the first step at which something is wrong."""
+    steps = np.flatnonzero(wrong)
+    if len(steps):
+        yield f"{text} at step {steps[0]}"
+
+
+def _has(steps: Steps, *names: str) -> bool:
+    return all(name in steps for name in names)
+
+
+def _outcome(episode: Episode, task: Task) -> Iterator[str]:
+    names = [phase.name for phase in task.phases]
+    if episode.phase not in names:
+        yield f"it ends in phase {episode.phase!r}, which the task does not have"
+        return
+    last = names.index(episode.phase)
+    reached = len(names) if episode.success else last
+    if episode.success and last != len(names) - 1:
+        yield f"it succeeds in phase {episode.phase!r}, which is not the last"
+    if episode.checkpoint != reached:
+        yield f"its checkpoint is {episode.checkpoint}, where its phase {episode.phase!r} makes it {reached}"
+    rewards = episode.steps.get("reward")
+    share = 1.0 if episode.success else reached / len(names)
+    if rewards is not None and len(rewards) and abs(rewards[-1] - share) > EXACT:
+        yield f"its last reward is {rewards[-1]:g}, its outcome is worth {share:g}"
+
+
+def _clock(episode: Episode, task: Task) -> Iterator[str]:
+    time, dt = episode.steps["time"], task.scene.control_dt
+    yield from _first(np.abs(time - dt * np.arange(len(time))) > EXACT, "time does not count the control steps")
+    if len(time) > task.time_limit / dt + 1.0:
+        yield f"it has {len(time)} control steps, more than the phases of the task may last"
+    if abs(episode.duration - dt * len(time)) > EXACT:
+        yield f"its duration is {episode.duration:g} s, its {len(time)} control steps take {dt * len(time):g} s"
+
+
+def _program(episode: Episode, task: Task) -> Iterator[str]:
+    """Check phase and gate: the program goes on by one phase at a time, and the phase says whether the gate is open."""
+    names = [phase.name for phase in task.phases]
+    if "phases" in episode.meta and list(episode.meta["phases"]) != names:
+        yield f"its phases are {episode.meta['phases']}, those of the task {names}"
+    if not _has(episode.steps, "phase"):
+        return
+    phase = episode.steps["phase"].astype(int)
+    wrong = (phase < 0) | (phase >= len(names)) | ~np.isin(np.diff(phase, prepend=0), (0, 1))
+    yield from _first(wrong, "phase does not follow the task's program")
+    # An episode that fails as it enters a phase has no step of it.
+    if episode.phase in names and names.index(episode.phase) - phase[-1] not in (0, 1):
+        yield f"phase ends with {phase[-1]}, the episode in {episode.phase!r}"
+    if _has(episode.steps, "gate") and not wrong.any():
+        gates = np.array([each.gate for each in task.phases])
+        yield from _first(episode.steps["gate"] != gates[phase], "gate is not that of its phase")
+
+
+def _residual(steps: Steps, task: Task) -> Iterator[str]:
+    """Check that the residual is none where the gate is closed, within its scales, and held for a decision."""
+    if not _has(steps, "residual_action", "gate"):
+        return
+    residual, gate = steps["residual_action"], steps["gate"]
+    if residual.shape[1] != 7:
+        yield f"residual_action has {residual.shape[1]} components, where there are 7"
+        return
+    yield from _first(~gate & residual.any(axis=1), "residual_action is not zero while the gate is closed,")
+    scales = np.array(task.residual.scales)
+    for part in (slice(0, 3), slice(3, 6), slice(6, 7)):  # each of them may be turned, but gets no longer by it
+        size = np.linalg.norm(residual[:, part], axis=1)
+        yield from _first(size > np.linalg.norm(scales[part]) + EXACT, "residual_action is beyond its scale")
+    opened = np.flatnonzero(gate & ~np.roll(gate, 1) | (np.arange(len(gate)) == 0))
+    since = np.arange(len(gate)) - opened[np.searchsorted(opened, np.arange(len(gate)), side="right") - 1]
+    held = gate[1:] & gate[:-1] & (since[1:] % task.residual.decision_steps != 0)
+    changed = (residual[1:] != residual[:-1]).any(axis=1)
+    yield from _first(np.r_[False, held & changed], "residual_action changes within a decision")
+
+
+def _request(steps: Steps) -> Iterator[str]:
+    """Check Eq. 5 before its projection: the request is the plan and the residual, which turns about the hand."""
+    if not _has(steps, "planner_action", "residual_action", "requested_action"):
+        return
+    plan, residual, asked = steps["planner_action"], steps["residual_action"], steps["requested_action"]
+    if plan.shape[1] != 8 or residual.shape[1] != 7:
+        yield f"planner_action has {plan.shape[1]} components, residual_action {residual.shape[1]}, not 8 and 7"
+        return
+    moved = plan[:, [0, 1, 2, 7]] + residual[:, [0, 1, 2, 6]]
+    wrong = (np.abs(asked[:, [0, 1, 2, 7]] - moved) > EXACT).any(axis=1)
+    turn, quat = residual[:, 3:6], plan[:, 3:7]
+    odd = (np.abs(np.linalg.norm(quat, axis=1) - 1.0) > MEASURED) | (np.linalg.norm(turn, axis=1) > 2.0 * np.pi)
+    for k in np.flatnonzero(~odd):
+        turned = Pose(matrix_from_rotvec(turn[k]) @ matrix_from_quat(quat[k]), np.zeros(3)).quat_wxyz
+        odd[k] = _turned(asked[k : k + 1, 3:7], turned[None])[0] > EXACT
+    yield from _first(wrong | odd, "requested_action is not planner_action plus residual_action")
+
+
+def _turned(a: Array, b: Array) -> Array:
+    """Return how far quaternions lie from each other, shape (T,); q and -q are one rotation."""
+    return np.asarray(np.minimum(np.abs(a - b).max(axis=1), np.abs(a + b).max(axis=1)))
+
+
+def _projection(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
+    """Check that the projected action is the joint and width reference, and that references and speeds fit."""
+    if _has(steps, "projected_action", "joint_reference") and steps["projected_action"].shape[1] == 8:
+        action = steps["projected_action"]
+        position, quat = _forward(steps["joint_reference"], kinematics)
+        wrong = (np.abs(action[:, :3] - position) > EXACT).any(axis=1) | (_turned(action[:, 3:7], quat) > EXACT)
+        yield from _first(wrong, "projected_action is not where joint_reference brings the hand")
+        if _has(steps, "width_reference"):
+            wrong = np.abs(action[:, 7] - steps["width_reference"]) > EXACT
+            yield from _first(wrong, "projected_action and width_reference ask for different widths")
+    robot, dt = kinematics.robot, task.scene.control_dt
+    if _has(steps, "width_reference"):
+        width = np.r_[robot.width_max, steps["width_reference"]]
+        wrong = np.abs(np.diff(width)) > 2.0 * robot.finger_speed_max * dt + EXACT
+        wrong |= (width[1:] < 0.0) | (width[1:] > robot.width_max)
+        yield from _first(wrong, "width_reference is no way that the fingers can go")
+    if _has(steps, "joint_reference", "joint_velocity_reference"):
+        q = np.vstack((robot.q_ready, steps["joint_reference"]))
+        dq = np.vstack((np.zeros(7), steps["joint_velocity_reference"]))
+        # The mean of two speeds is off by no more than an acceleration that turns round half way.
+        off = np.abs(np.diff(q, axis=0) - 0.5 * dt * (dq[1:] + dq[:-1])) / (0.25 * dt * dt * robot.ddq_max)
+        yield from _first((off > 1.01).any(axis=1), "joint_velocity_reference is not the speed of joint_reference")
+
+
+def _hand(steps: Steps, kinematics: ArmKinematics) -> Iterator[str]:
+    """Check that the measured hand is where the measured joints bring it."""
+    if not _has(steps, "q", "ee_position", "ee_quat_wxyz"):
+        return
+    position, quat = _forward(steps["q"], kinematics)
+    wrong = (np.abs(steps["ee_position"] - position) > MEASURED).any(axis=1)
+    yield from _first(wrong, "ee_position is not where q brings the hand")
+    yield from _first(_turned(steps["ee_quat_wxyz"], quat) > MEASURED, "ee_quat_wxyz is not how q turns the hand")
+
+
+def _forward(q: Array, kinematics: ArmKinematics) -> tuple[Array, Array]:
+    poses = [kinematics.forward(row) for row in q]
+    return np.array([pose.position for pose in poses]), np.array([pose.quat_wxyz for pose in poses])
+
+
+def _contact(episode: Episode, task: Task) -> Iterator[str]:
+    """Check the times of contact in the header against the columns that they were read off."""
+    steps = episode.steps
+    if _has(steps, "left_contact", "right_contact"):
+        yield from _noted(episode, "contact_time", steps["left_contact"] | steps["right_contact"], "its contacts begin")
+    if _has(steps, "phase"):
+        yield from _noted(
+            episode, "planned_contact_time", steps["phase"] >= task.contact_phase, "its phase of contact begins"
+        )
+
+
+def _noted(episode: Episode, name: str, holds: NDArray[np.bool_], what: str) -> Iterator[str]:
+    found = np.flatnonzero(holds)
+    first = float(episode.steps["time"][found[0]]) if len(found) else None
+    if name in episode.meta and episode.meta[name] != first:
+        yield f"its {name} is {episode.meta[name]}, {what} at {first}"

@@ -1,0 +1,69 @@
+"""In what a recording differs from its attempt made again, column by column, to the bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos.episode import Episode
+
+ELSEWHERE = ("versions", "policy_hash")  # in `meta`: what a repetition cannot know
+
+
+def differences(recorded: Episode, again: Episode) -> list[str]:
+    """Compare everything that a repetition determines: outcome, `meta`, and every column.
+
+    Where columns differ at several steps, those that differ first are told apart: what comes later may only follow
+    from them.
+    """
+    found = [
+        f"its {name} is recorded as {noted!r}, made again it is {value!r}"
+        for name in ("success", "checkpoint", "failure", "phase", "duration")
+        if (noted := getattr(recorded, name)) != (value := getattr(again, name))
+    ]
+    found += [
+        f"its {name} is not what its attempt made again gives"
+        for name, value in again.meta.items()
+        if name not in ELSEWHERE and recorded.meta.get(name) != value
+    ]
+    return found + _columns(recorded, again)
+
+
+def _columns(recorded: Episode, again: Episode) -> list[str]:
+    known = [name for name in recorded.steps if not name.startswith("extra/")]
+    found = [f"{name} is missing, which every attempt records" for name in again.steps if name not in recorded.steps]
+    found += [f"{name} is recorded, which no attempt at this task does" for name in known if name not in again.steps]
+    if len(recorded) != len(again):
+        found.append(f"it has {len(recorded)} control steps, made again {len(again)}")
+    first = {
+        name: step
+        for name in known
+        if name in again.steps and (step := _first(recorded.steps[name], again.steps[name])) is not None
+    }
+    start = min(first.values(), default=0)
+    found += [
+        f"{name} is not what its attempt made again gives from step {step} on"
+        f"{_by(recorded.steps[name][step], again.steps[name][step])}"
+        for name, step in first.items()
+        if step == start
+    ]
+    if later := [f"{name} (step {step})" for name, step in first.items() if step > start]:
+        found.append(f"later, which may follow from it, {', '.join(later)} too")
+    return found
+
+
+def _first(a: NDArray[Any], b: NDArray[Any]) -> int | None:
+    """Return the first row in which two columns differ, as far as both go; None if there is none."""
+    if a.shape[1:] != b.shape[1:]:
+        return 0
+    rows = min(len(a), len(b))
+    wrong = np.flatnonzero((a[:rows] != b[:rows]).reshape(rows, -1).any(axis=1))
+    return int(wrong[0]) if len(wrong) else None
+
+
+def _by(a: Any, b: Any) -> str:
+    if np.shape(a) != np.shape(b):
+        return ": it has another shape"
+    return f", by {np.abs(np.asarray(a, dtype=float) - np.asarray(b, dtype=float)).max():.3g}"

@@ -1,0 +1,115 @@
+"""One sealed HDF5 file with the observations of an episode: an array a quantity, each checked before it is read."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+from numpy.typing import NDArray
+
+from dynaforge.demos.episode import Episode
+from dynaforge.demos.episode_file import check_seal, write_sealed
+from dynaforge.demos.untrusted import (
+    MALFORMED,
+    DamagedFileError,
+    check_links,
+    printable,
+    read_array,
+    read_file,
+    read_text,
+)
+
+SETTINGS = "settings.json"
+AGAIN = "render"  # how a damaged file is made again
+LONGEST = 2**32  # bytes of the observations of an episode, pressed or not, that are read
+Layout = Mapping[str, tuple[tuple[int, ...], str]]
+"""Shape of one control step and type, by the name of an array."""
+
+
+def write_observations(
+    path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], *, things: list[str], settings: str = ""
+) -> None:
+    """Write the observations of an episode, whole or not at all.
+
+    Args:
+        path: Where.
+        episode: Of which recording.
+        arrays: What `ObservationRenderer.render` returned.
+        things: What the numbers of its segmentations stand for.
+        settings: Digest of the settings file beside it.
+    """
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver="latest") as file:
+        file.attrs["episode"] = episode.id
+        file.attrs["content_hash"] = episode.content_hash()
+        file.attrs["settings"] = settings
+        file.attrs["things"] = json.dumps(things)
+        for name, array in arrays.items():
+            image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
+            pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
+            chunks = (1, *array.shape[1:]) if image else None
+            file.create_dataset(name, data=array, chunks=chunks, **pressed)
+    write_sealed(path, buffer.getvalue())
+
+
+def read_observations(
+    path: Path, *, of: Episode | None = None, settings: str | None = None, layout: Layout | None = None
+) -> dict[str, NDArray[Any]]:
+    """Read the observations of an episode after checking every byte.
+
+    Args:
+        path: Their file.
+        of: The episode they are to belong to, to the bit.
+        settings: Digest of the settings file that they are to have been rendered with.
+        layout: What they are to hold of each control step.
+
+    Raises:
+        FileNotFoundError: There are none.
+        DamagedFileError: The file was altered or cut off, holds something else, or is of another recording or other
+            settings.
+    """
+    data = read_file(path, at_most=LONGEST, again=AGAIN)
+    check_seal(path, data, again=AGAIN)
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            check_links(file)
+            recording, rendered_with = read_text(file, "content_hash"), read_text(file, "settings")
+            if of is not None and of.content_hash() != recording:
+                raise DamagedFileError(path, "it was rendered from another recording", again=AGAIN)
+            if settings is not None and settings != rendered_with:
+                raise DamagedFileError(path, f"it was rendered with other settings than {SETTINGS} holds", again=AGAIN)
+            return _read_arrays(file, layout, len(of) if of is not None else None)
+    except DamagedFileError:
+        raise
+    except MALFORMED as error:
+        raise DamagedFileError(path, f"its content cannot be read ({printable(error)})", again=AGAIN) from error
+
+
+def _read_arrays(file: Any, layout: Layout | None, length: int | None) -> dict[str, NDArray[Any]]:
+    """Read every array of an open file, after a look at what it claims to be.
+
+    Raises:
+        ValueError: Something is missing, too much, too large, or of another shape or type.
+    """
+    found: dict[str, Any] = {}
+    file.visititems(lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None)
+    if layout is not None:
+        _check_layout(found, layout, length)
+    if sum(data.nbytes for data in found.values()) > LONGEST:
+        raise ValueError(f"it claims more than {LONGEST / 1e9:.0f} GB")
+    return {name: read_array(file, name, at_most=LONGEST) for name in found}
+
+
+def _check_layout(found: Mapping[str, Any], layout: Layout, length: int | None) -> None:
+    """Compare what there is with what there is to be; where no length is given, the first array tells it."""
+    if odd := sorted(set(found) ^ set(layout)):
+        raise ValueError(f"{printable(odd[0])} is {'missing' if odd[0] in layout else 'none of its arrays'}")
+    for name, (shape, kind) in layout.items():
+        data = found[name]
+        length = len(data) if length is None and data.shape else length
+        if data.shape != (length, *shape) or data.dtype != kind:
+            raise ValueError(f"{name} is {data.shape} {data.dtype}, where {(length, *shape)} {kind} is expected")

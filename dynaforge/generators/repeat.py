@@ -1,0 +1,85 @@
+"""Making an attempt again from its recording: the planner plans anew, only the residual is the one recorded."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.demos import Episode
+from dynaforge.envs.executor import Outcome
+from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.generators.generator import episode_of
+from dynaforge.generators.recording import Recorder
+from dynaforge.geometry import Array
+from dynaforge.tasks import Task
+
+ROUNDING = 1.0 + 1e-9  # of a residual that lies on its bound
+
+
+class Repeater:
+    """Makes recorded attempts at one task again; use it for many.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._env = ResidualEnv(task)
+
+    def __call__(self, episode: Episode) -> Episode:
+        """Run the program of an episode anew and record it: an honest recording is repeated to the bit.
+
+        At the beginning of each decision the recorded residual is taken, as far as a policy could have asked for it,
+        and held. Whether the episode ended is the executor's to say, not the recording's.
+
+        Raises:
+            ValueError: The condition is not one of the task, or no residual was recorded.
+        """
+        residuals = episode.steps.get("residual_action")
+        if len(episode) and (residuals is None or residuals.shape[1] != 7):
+            raise ValueError("it records no residual_action of 7 components, so its attempt cannot be made again")
+        world = self._env.world
+        recorder = Recorder(self._env.task, world.kinematics)
+        world.listeners.append(recorder)
+        try:
+            outcome = self._run(episode, residuals if residuals is not None else np.zeros((0, 7)))
+        finally:
+            world.listeners.remove(recorder)
+        return episode_of(
+            self._env, recorder, outcome, episode.condition, generator=episode.generator,
+            policy_hash=str(episode.meta.get("policy_hash", "")),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Release physics; legal twice."""
+        self._env.close()
+
+    def _run(self, episode: Episode, residuals: NDArray[np.float64]) -> Outcome:
+        world, executor = self._env.world, self._env.executor
+        state = world.reset(episode.condition)
+        executor.reset(state, episode.condition, world.reference)
+        held: Array | None = None
+        left = 0
+        for recorded in residuals:
+            if executor.outcome is not None:
+                break
+            if not executor.action.gate:
+                held, left = None, 0
+            elif left == 0:
+                held, left = self._possible(recorded), self._env.task.residual.decision_steps
+            state = world.execute(executor.action, held)
+            executor.advance(state, world.reference)
+            left = max(left - 1, 0)
+        goes_on = Outcome(False, executor.index, "it goes on after its last recorded step", executor.phase.name)
+        return executor.outcome or goes_on
+
+    def _possible(self, residual: Array) -> Array:
+        """Return what of a residual, shape (7,), in physical units, lies within the scales that it has now."""
+        bound = self._env.executor.phase.residual_share * np.array(self._env.task.residual.scales)
+        turn = np.eye(7)
+        if self._env.residual_frame == "target":
+            turn[:3, :3] = turn[3:6, 3:6] = self._env.executor.frame.rotation
+        local = turn.T @ residual
+        if (np.abs(local) <= bound * ROUNDING + 1e-12).all():
+            return residual
+        return np.asarray(turn @ local.clip(-bound, bound))
