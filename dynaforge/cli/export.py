@@ -14,8 +14,10 @@ from tqdm import tqdm
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter, read_frames
+from dynaforge.demos.exporters.frames import env_of
 from dynaforge.demos.observations import FOLDER, ObservationFolder
 from dynaforge.reports.card import Exported, write_card
+from dynaforge.tasks import Task
 
 
 def run(options: argparse.Namespace) -> int:
@@ -44,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     def frames() -> Iterator[Frames]:
         for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
             kept.append(Exported.of(episode.episode))
-            contents.update(_contents(episode))
+            contents.update(_contents(task, episode))
             yield episode
             del episode  # or it lived on while the next is read
 
@@ -61,12 +63,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _contents(episode: Frames) -> dict[str, str]:
+def _contents(task: Task, episode: Frames) -> dict[str, str]:
     """Say what each step holds, for the card."""
     seen = [*episode.images, *(f"depth of {camera}" for camera in episode.depths)]
     seen += ["points"] if episode.points is not None else []
+    arguments = ", ".join(f"{name}={value!r}" for name, value in episode.env_arguments.items())
     return {
         "actions": ", ".join(episode.action_names),
+        "env of the actions": f"`gymnasium.make({env_of(task)!r}, {arguments})`",
         "observations": ", ".join(["state of the robot", *seen]),
         "privileged": ", ".join(episode.objects) if episode.privileged else "nothing: no truth about objects",
     }

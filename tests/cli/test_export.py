@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,55 @@ def test_half_rendered_data_is_named_before_the_work(data: Path, capsys: pytest.
     assert main([*command, "--observations", str(seen)]) == 2
     assert "lacks 2 of 2 episodes" in capsys.readouterr().err
     assert not data.with_name("half").exists()
+
+
+def test_what_was_rendered_can_be_left_out_and_what_a_kill_left_is_cleared_away(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "peach"
+    shutil.copytree(data, source)
+    ObservationFolder(source / "observations", ObservationSettings((standard_cameras(get_task("peach"))["front"],)))
+    out = tmp_path / "new" / "deeper"
+    command = ["export", str(source), "--failures", "--no-observations", "--out", str(out)]
+    assert main([*command, "--format", "dp3-zarr"]) == 2
+    assert "needs point clouds" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    killed = out.with_name(".deeper.tmp") / "half.hdf5"
+    killed.parent.mkdir(parents=True)
+    killed.touch()
+    assert main([*command, "--format", "robomimic", "--rotation", "rotation_6d"]) == 0
+    assert [path.name for path in out.parent.iterdir()] == ["deeper"]
+    card = (out / "README.md").read_text()
+    assert "| actions | x, y, z, r1x, r1y, r1z, r2x, r2y, r2z, width, elbow |" in card
+    assert "gymnasium.make('DynaForge/PeachTask-v0', action_mode='ee', rotation='rotation_6d', elbow=True)" in card
+    assert "| observations | state of the robot |" in card
+    assert "peach_position" in card
+    assert "| instruction | pick up the rolling peach and put it into the moving bowl |" in card
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--observations", "OBSERVATIONS", "--no-observations"], "--no-observations leaves out"),
+        (["--actions", "joint", "--rotation", "rotation_6d"], "--rotation rotation_6d belongs to --actions ee"),
+        (["--format", "minari", "--observations", "OBSERVATIONS"], "holds neither pictures nor points"),
+        (["--license", ""], "SPDX"),
+        (["--license", "MIT\nlicense: other"], "SPDX"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused_before_the_work(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], told: str
+) -> None:
+    seen = tmp_path / "seen"
+    ObservationFolder(seen, ObservationSettings((standard_cameras(get_task("peach"))["front"],)))
+    given = [str(seen) if option == "OBSERVATIONS" else option for option in options]
+    try:
+        status = main(["export", str(data), "--format", "robomimic", "--out", str(tmp_path / "out"), *given])
+    except SystemExit as leaving:  # argparse's way
+        status = int(leaving.code or 0)
+    assert status == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_cannot_be_exported_leaves_nothing(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,3 +58,42 @@ def test_a_folder_of_something_else_is_not_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
     (tmp_path / "new").mkdir()
     assert len(Pack.write(tmp_path / "new", [frames(1, 4)])) == 4
+
+
+def test_a_pack_pickles_as_the_name_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the workers of a data loader get it."""
+    monkeypatch.chdir(tmp_path)
+    pack = Pack.write("pack", [frames(1, 4000)])
+    sent = pickle.dumps(pack)
+    assert len(sent) < 1000
+    monkeypatch.chdir("/")
+    np.testing.assert_array_equal(pickle.loads(sent).arrays["state"], pack.arrays["state"])
+
+
+@pytest.mark.parametrize(
+    ("name", "frame", "before", "after", "error", "told"),
+    [
+        ("action", -1, 0, 0, IndexError, "frames 0 to 6"),
+        ("action", 7, 0, 0, IndexError, "No frame 7"),
+        ("action", 10**9, 0, 0, IndexError, "frames 0 to 6"),
+        ("action", 0, -1, 0, ValueError, "before is -1"),
+        ("action", 0, 0, -2, ValueError, "after is -2"),
+        ("action", 0, 10**9, 0, ValueError, "before is 1000000000"),
+        ("action", 1.5, 0, 0, TypeError, "integer"),
+        ("actions", 0, 0, 0, KeyError, "Did you mean 'action'"),
+    ],
+)
+def test_windows_that_are_none_are_refused(
+    tmp_path: Path, name: str, frame: Any, before: int, after: int, error: type[Exception], told: str
+) -> None:
+    pack = Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 3)])
+    with pytest.raises(error, match=told):
+        pack.window(name, frame, before=before, after=after)
+
+
+def test_a_pack_holds_phase_and_joint_velocity(tmp_path: Path) -> None:
+    pack = Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 3)])
+    assert pack.arrays["phase"].tolist() == [1] * 4 + [2] * 3
+    assert pack.window("dq", 6, before=1, after=0)[:, 0].tolist() == [201, 202]
+    assert pack.arrays["gate"].dtype == bool
+    assert pack.arrays["points"].dtype == np.float16

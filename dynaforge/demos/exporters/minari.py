@@ -7,7 +7,7 @@ import copy
 import os
 import warnings
 from collections.abc import Iterable, Iterator
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -43,24 +43,22 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
         ValueError: There is no demonstration, or one cannot be simulated again.
     """
     remaining = iter(episodes)
-    first = next(remaining, None)
-    if first is None:
+    held = list(islice(remaining, 1))
+    if not held:
         raise ValueError("There is no demonstration to export.")
-    about = _about(task, first)
-    sizes = (_rows(first).shape[1], first.actions.shape[1])
+    about = _about(task, held[0])
+    sizes = (_rows(held[0]).shape[1], held[0].actions.shape[1])
     spaces = [gym.spaces.Box(-np.inf, np.inf, (size,), np.float32) for size in sizes]
     env = gym.Env[Any, Any]()  # not the env itself, which would start physics: only what it is made from is stored
-    env.spec = _spec(task, first)
-    found = chain([first], remaining)
-    del first  # or it lived as long as the export lasts
+    env.spec = _spec(task, held[0])
     replayer = Replayer(task)
     try:
         with _rooted(folder), warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"`\w+` is set to None|env_spec is None", UserWarning)
             dataset = minari.create_dataset_from_buffers(
-                dataset_id(task), _buffers(found, replayer), env, observation_space=spaces[0], action_space=spaces[1],
+                dataset_id(task), _buffers(held, remaining, replayer), env,
+                observation_space=spaces[0], action_space=spaces[1], data_format="hdf5",
                 algorithm_name="dynaforge", description=f"{task.instruction}. {task.motion} {task.goal}",
-                data_format="hdf5",
             )  # fmt: skip
     finally:
         replayer.close()
@@ -99,10 +97,13 @@ def _about(task: Task, frames: Frames) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _buffers(episodes: Iterable[Frames], replayer: Replayer) -> Iterator[EpisodeBuffer]:
-    for k, frames in enumerate(episodes):
-        yield _buffer(k, frames, replayer)
-        del frames  # or it lived on while the next is read
+def _buffers(held: list[Frames], remaining: Iterator[Frames], replayer: Replayer) -> Iterator[EpisodeBuffer]:
+    """Yield what is held, then what remains: nobody else holds on to an episode while the next is read."""
+    k = 0
+    while held:
+        yield _buffer(k, held.pop(), replayer)
+        held += islice(remaining, 1)
+        k += 1
 
 
 def _buffer(k: int, frames: Frames, replayer: Replayer) -> EpisodeBuffer:

@@ -36,10 +36,10 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     about: dict[str, Any] = {}
     with h5py.File(folder / FILE, "w") as file:
         data = file.create_group("data")
-        for k, episode in enumerate(episodes):
+        for episode in episodes:  # not enumerate(episodes), which holds on to the last
             about = about or _about(task, episode)
+            _write_demo(data.create_group(f"demo_{len(actions)}"), episode, task.instruction)
             actions.append(episode.actions)
-            _write_demo(data.create_group(f"demo_{k}"), episode, task.instruction)
             del episode  # or it lived on while the next is read
         if not actions:
             raise ValueError("There is no demonstration to export.")

@@ -20,7 +20,7 @@ from dynaforge.tasks import get_task
 CAN = get_task("can")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> DemonstrationDataset:
     """Three recordings of Can, with small pictures and points."""
     pytest.importorskip("fpsample")
@@ -36,7 +36,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> DemonstrationDataset:
     return dataset
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def episodes(recorded: DemonstrationDataset) -> list[Frames]:
     """The same to export, with the truth about the can."""
     seen = ObservationFolder(recorded.path / "observations")
