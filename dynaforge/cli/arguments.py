@@ -24,7 +24,8 @@ from dynaforge.cli.options import (
     shown,
 )
 from dynaforge.cli.settings import arms, known_algorithms
-from dynaforge.cli.task_arguments import add_task_argument
+from dynaforge.cli.task_arguments import add_task_argument, chosen_task
+from dynaforge.demos import DemonstrationDataset
 from dynaforge.tasks import STREAMS
 
 GENERATORS = ("planner_only", "residual", "exploring", "oracle")
@@ -149,6 +150,16 @@ def check_generators(options: argparse.Namespace) -> None:
         if value is not None and not set(users) & set(given):
             flag = f"--{name.replace('_', '-')} {value}"
             raise ValueError(f"{flag} is for the generator {' or '.join(users)}; --generator is {' '.join(given)}.")
+
+
+def check_collect(options: argparse.Namespace) -> None:
+    """Refuse what no generator would use, and a folder of another task."""
+    check_generators(options)
+    task = chosen_task(options).name
+    if (options.out / "dataset.json").is_file() and (held := DemonstrationDataset(options.out).task) != task:
+        raise ValueError(
+            f"--out {options.out} holds demonstrations of {held!r}, not of {task!r}. Choose another folder."
+        )
 
 
 def compare(parser: argparse.ArgumentParser) -> None:

@@ -58,9 +58,9 @@ class Command:
         options: argparse.Namespace = parser.parse_args(arguments)
         if "task" in options:
             chosen_tasks(options)
-        self.check(options)
         if self.out is not None and options.out is None:
             options.out = parser.parse_args([*arguments, f"--out={self.out(options)}"]).out
+        self.check(options)
         return options
 
 
@@ -89,7 +89,7 @@ COMMANDS = {
         "demonstrations into a folder, on all cores; resumes",
         ("collect --task can --demos 100", "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4"),
         add=arguments.collect,
-        check=arguments.check_generators,
+        check=arguments.check_collect,
         out=lambda options: Path("data") / chosen_task(options).name,
     ),
     "info": Command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import queue
 import subprocess
 import sys
@@ -70,7 +71,10 @@ def matrix(options: argparse.Namespace) -> list[RunSpec]:
         for name, changes in _varied(arm, settings, options.vary):
             crew[name] = (algo, changes)
     for algo, changes in crew.values():
-        _check_settings(algo, changes, next(iter(tasks)))
+        try:
+            _check_settings(algo, changes, next(iter(tasks)))
+        except ValueError as error:
+            raise ValueError(f"--vary: {error}" if options.vary else str(error)) from error
     specs = [
         RunSpec(source, "planner_only", "", {}, 0, 0, exam, options.out / name / "planner_only")
         for name, source in tasks.items()
@@ -92,9 +96,12 @@ def _varied(arm: str, settings: dict[str, Any], vary: Sequence[str] | None) -> l
 
 def _parsed(value: str) -> Any:
     try:
-        return json.loads(value)
+        parsed = json.loads(value)
     except json.JSONDecodeError:
         return value
+    if isinstance(parsed, float) and not math.isfinite(parsed):
+        raise ValueError(f"--vary: {value!r} is no finite number.")
+    return parsed
 
 
 def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
@@ -110,8 +117,8 @@ def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PPO's batch does not suit a single env
             training.build_model(task, env, algo=algo, **changes)
-    except TypeError as error:
-        raise ValueError(f"{algo} with {changes}: {error}.") from error
+    except (TypeError, AssertionError) as error:  # SB3 asserts that a schedule is one
+        raise ValueError(f"{algo} with {changes}: {str(error).rstrip('.')}.") from error
     finally:
         env.close()
 

@@ -82,7 +82,10 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
         raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
     from dynaforge.algos.policy_file import MlpPolicyFile
 
-    policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task)
+    try:
+        policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task)
+    except ValueError as error:
+        raise ValueError(f"--policy: {error}" if options.policy else str(error)) from error
     if name == "exploring":
         return ResidualGenerator(
             Exploring(policy, 0.25 if options.sigma is None else options.sigma), policy_hash=policy.digest, name=name
