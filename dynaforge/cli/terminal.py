@@ -6,15 +6,15 @@ import codecs
 import io
 import sys
 
+from dynaforge.cli.sparkline import BARS
+
 PLAIN = {
-    **dict(zip("▁▂▃▄▅▆▇█", "_.:-=+*#", strict=True)),  # a sparkline still rises
-    **dict.fromkeys("│┃║┆┊▏▎▍▌▋▊▉", "|"),
-    **dict.fromkeys("─━═┄┈–—−", "-"),
-    **dict.fromkeys("┌┐└┘├┤┬┴┼┏┓┗┛┣┫┳┻╋┡┢┩┪┯┷┿╇╈╔╗╚╝╠╣╦╩╬╭╮╯╰┠┨┝┥╪╫╞╡", "+"),
-    **dict.fromkeys("‘’‚′", "'"),
-    **dict.fromkeys("“”„″", '"'),
-    "≥": ">=", "≤": "<=", "×": "x", "→": "->", "…": "...", "±": "+-", "°": " deg", "µ": "u", "μ": "u", "σ": "sigma",
-    "✓": "yes", "✗": "no", "•": "*", "·": ".", "\u00a0": " ", "ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss",
+    **dict(zip(BARS, "_.:-=+*#", strict=True)),  # a sparkline still rises
+    **dict.fromkeys("│┃▏▎▍▌▋▊▉", "|"),
+    **dict.fromkeys("─━–—−", "-"),
+    **dict.fromkeys("┌┬┐├┼┤└┴┘┏┳┓┣╋┫┗┻┛┡╇┩╞╪╡", "+"),
+    "≥": ">=", "≤": "<=", "×": "x", "→": "->", "…": "...", "±": "+-", "°": " deg", "µ": "u", "μ": "u", "·": ".",
+    "’": "'", "“": '"', "”": '"', "\u00a0": " ",
 }  # fmt: skip
 HANDLER = "dynaforge.plain"
 
