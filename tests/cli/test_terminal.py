@@ -72,10 +72,10 @@ def test_help_teaches(command: str, capsys: pytest.CaptureFixture[str]) -> None:
 def test_examples_of_help_are_command_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     DemonstrationDataset("data/can", task="can")
-    policy = Path("runs/peach/policy.safetensors")
-    policy.parent.mkdir(parents=True)
-    policy.touch()
     for name, command in COMMANDS.items():
+        if name == "collect":  # which takes what `forge` makes
+            Path("runs/peach").mkdir(parents=True)
+            Path("runs/peach/policy.safetensors").touch()
         for example in command.examples:
             command.read(name, example.split()[1:])
 
