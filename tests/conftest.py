@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gymnasium
@@ -25,6 +25,16 @@ def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv("DYNAFORGE_TASKS", "")  # so that what `get_task` adds is undone
     yield tmp_path / "ball.py"
+    _forget_tasks()
+
+
+@pytest.fixture
+def forget_tasks() -> Callable[[], None]:
+    """Return what lets this process know no task of one's own, as if it had just started."""
+    return _forget_tasks
+
+
+def _forget_tasks() -> None:
     for name in [*TASK_FILES]:
         for env in env_ids(name):
             gymnasium.registry.pop(env, None)

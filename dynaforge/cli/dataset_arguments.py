@@ -4,41 +4,28 @@ from __future__ import annotations
 
 import argparse
 
+from dynaforge.cli.dataset_task import task_of
 from dynaforge.cli.options import NAME, Distinct, Existing, Number, Text, Whole, Written, add_workers, one_of
-from dynaforge.cli.task_arguments import task
+from dynaforge.cli.task_arguments import add_own_task_argument
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.registration import task_named
-from dynaforge.tasks import Task, get_task
+from dynaforge.tasks import Task
 
 
 def open_dataset(options: argparse.Namespace) -> tuple[DemonstrationDataset, Task]:
     """Open the folder for reading, with its task.
 
-    A task's file is imported only where it is named on the command line: a folder may come from anybody.
-
     Raises:
-        ValueError: Its task is not of the package and no file is given, or one of another task.
+        ValueError: The task is one of the user's own and was not given, or another one was given.
     """
     dataset = DemonstrationDataset(options.folder)
-    if options.task_file is None and task_named(dataset.task) is None:
-        raise ValueError(
-            f"{options.folder} holds demonstrations of {dataset.task!r}, no task of the package; give the file that "
-            "they were made with: --task-file FILE."
-        )
-    found = get_task(options.task_file or dataset.task)
-    if found.name != dataset.task:
-        raise ValueError(
-            f"--task-file {options.task_file} is of task {found.name!r}; {options.folder} holds demonstrations of "
-            f"{dataset.task!r}."
-        )
-    return dataset, found
+    return dataset, task_of(dataset, options.task_file)
 
 
 def on_dataset(parser: argparse.ArgumentParser) -> None:
     """Add the folder and, for tasks of one's own, their file."""
     held = Existing("folder", holding="dataset.json", otherwise="holds no demonstrations")
     parser.add_argument("folder", type=held, help="folder of `dynaforge collect`")
-    parser.add_argument("--task-file", type=task, help="file of the task, where it is one of your own")
+    add_own_task_argument(parser)
 
 
 def _add_observations(parser: argparse.ArgumentParser) -> None:

@@ -33,6 +33,14 @@ def add_task_argument(
         parser.add_argument(*flags, dest="task", type=task, default=default, metavar="TASK", help=f"one of {known}")
 
 
+def add_own_task_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names the task of a folder of demonstrations, which only a task of one's own needs."""
+    parser.add_argument(
+        "--task-file", "--task", dest="task_file", type=task, metavar="TASK",
+        help="file of the task (its code is run), where it is one of your own",
+    )  # fmt: skip
+
+
 def task(text: str) -> str:
     """See that a task exists, and return what was given for it.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
@@ -29,14 +29,22 @@ class Provenance:
     Attributes:
         policy: Digest of the policy; "" without one.
         task_definition: Digest of the task's definition.
+        task_file: Name of the file that held the task; "" for a task of the package. Only for messages: a dataset may
+            come from anybody, so nothing that it names is ever imported.
     """
 
     policy: str
     task_definition: str
+    task_file: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         check_kind("Provenance: policy", self.policy, str)
         check_kind("Provenance: task_definition", self.task_definition, str)
+        check_kind("Provenance: task_file", self.task_file, str)
+
+    def to_dict(self) -> dict[str, str]:
+        """Return it as plain data."""
+        return {name: value for name, value in asdict(self).items() if value or name != "task_file"}
 
 
 class DemonstrationDataset:
@@ -145,7 +153,9 @@ class DemonstrationDataset:
         if held == source:
             return
         if held is None:
-            text = json.dumps({name: asdict(noted) for name, noted in (known | {generator: source}).items()}, indent=1)
+            text = json.dumps(
+                {name: noted.to_dict() for name, noted in (known | {generator: source}).items()}, indent=1
+            )
             atomic_write(self.path / SOURCES, text.encode() + b"\n")
         elif held.policy != source.policy:
             raise ValueError(

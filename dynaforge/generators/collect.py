@@ -13,7 +13,7 @@ from dynaforge.generators.generator import Generator
 from dynaforge.generators.giving_up import ENOUGH, GaveUp
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_kind, check_whole
-from dynaforge.tasks import Task
+from dynaforge.tasks import Task, task_file_name
 from dynaforge.tasks.conditions import check_shard
 from dynaforge.tasks.digest import task_digest
 
@@ -120,7 +120,8 @@ def collect(
     check_kind("source", source, (Source, type(None)))
     if workers is not None:
         check_whole("workers", workers, least=1)
-    dataset.note_source(generator.name, Provenance(getattr(generator, "policy_hash", ""), task_digest(task)))
+    made_by = Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task))
+    dataset.note_source(generator.name, made_by)
     lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
     held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name and a.id not in lost}
     source = source or Source()

@@ -22,6 +22,7 @@ __all__ = [
     "ResidualSpec",
     "Task",
     "get_task",
+    "task_file_name",
     "task_source",
     "what_was_meant",
 ]
@@ -62,6 +63,11 @@ def get_task(given: str) -> Task:
 def task_source(task: Task) -> str:
     """Return what names a task in any process, for `get_task` and `TaskEnv`: its name, or the path of its file."""
     return TASK_FILES.get(task.name, task.name)
+
+
+def task_file_name(task: Task) -> str:
+    """Return the name of the file that a task of one's own came from, without its folders; "" for any other."""
+    return Path(TASK_FILES.get(task.name, "")).name
 
 
 def what_was_meant(given: str, *, among: Iterable[str] = ()) -> str:

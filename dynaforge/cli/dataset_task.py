@@ -1,0 +1,72 @@
+"""The task of a folder of demonstrations that a command is given.
+
+A folder may come from anybody, so nothing that it names is imported. A task that is not one of the package is the
+user's to name, and is taken only if it is the one that the demonstrations were made with.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.untrusted import DamagedFileError
+from dynaforge.registration import ENV_NAMES
+from dynaforge.tasks import Task, get_task, task_file_name
+from dynaforge.tasks.digest import task_digest
+
+
+def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
+    """Return the task of a dataset.
+
+    Args:
+        dataset: Whose task.
+        given: Name, env id or file of the task, from the user; None for a task of the package.
+
+    Raises:
+        ValueError: The task is one of the user's own and was not given, or another one was given.
+    """
+    if given is None and dataset.task not in ENV_NAMES:
+        raise ValueError(f"{dataset.path}: {_origin(dataset)}")
+    task = get_task(given or dataset.task)
+    if task.name != dataset.task:
+        raise ValueError(
+            f"{dataset.path} holds demonstrations of task {dataset.task!r}; {given} is task {task.name!r}."
+        )
+    recorded = {source.task_definition for source in _sources(dataset)}
+    variant = next((same for same in _variants(task) if task_digest(same) in recorded), None)
+    if variant is None and recorded and (file := task_file_name(task)):
+        raise ValueError(
+            f"{dataset.path}: the scene, conditions, phases or residual of {file} differ from those that the "
+            f"demonstrations were made with, since its digest is {task_digest(task)}. {_origin(dataset)}"
+        )
+    return variant or task
+
+
+def _variants(task: Task) -> Iterable[Task]:
+    """Yield the task as it is, then as `forge --residual-frame` changes it."""
+    yield task
+    for frame in ("target", "world"):
+        yield replace(task, residual=replace(task.residual, frame=frame))
+
+
+def _sources(dataset: DemonstrationDataset) -> list[Provenance]:
+    try:
+        return list(dataset.sources().values())
+    except DamagedFileError:  # `verify` says so
+        return []
+
+
+def _origin(dataset: DemonstrationDataset) -> str:
+    """Say which task the demonstrations were made with, and how it is given."""
+    sources = _sources(dataset)
+    found = {source.task_definition for source in sources if re.fullmatch("[0-9a-f]{16}", source.task_definition)}
+    digests = " and ".join(sorted(found)) or "unknown"
+    names = sorted({source.task_file for source in sources if re.fullmatch(r"[\w-]+\.py", source.task_file)})
+    made_with = f"made with {names[0]}" if names else "made with a task file"
+    return (
+        f"This dataset was {made_with} (task {dataset.task!r}, digest {digests}); give it with "
+        f"--task-file {names[0] if names else 'FILE'}."
+    )

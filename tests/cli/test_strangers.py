@@ -1,0 +1,164 @@
+"""Folders and files may come from anybody: reading one runs no code that it brings along."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import json
+import pickle
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cloudpickle
+import numpy as np
+import pytest
+
+import dynaforge
+from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli import runs, zoo
+from dynaforge.cli.main import main
+from dynaforge.cli.runs import Exam, RunSpec
+from dynaforge.demos.dataset import FORMAT
+from dynaforge.demos.episode_file import FORMAT_VERSION
+
+ON_DATASETS = (["info"], ["verify"], ["verify", "--replay"], ["render"], ["view"], ["export", "--format", "robomimic"])
+
+
+@pytest.fixture
+def canary(tmp_path: Path) -> Path:
+    return tmp_path / "canary"
+
+
+class Trap:
+    """Whoever unpickles it, or runs its text, leaves a file."""
+
+    def __init__(self, canary: Path) -> None:
+        self.text = f"open({str(canary)!r}, 'w').close()"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return exec, (self.text,)
+
+
+@pytest.mark.parametrize("command", ON_DATASETS, ids=" ".join)
+@pytest.mark.parametrize(
+    "task", ["evil", "evil.py", "./evil.py", "ABSOLUTE", "../data/evil.py", "dynaforge.cli", "Can"]
+)
+def test_a_dataset_makes_nothing_be_imported(
+    tmp_path: Path, canary: Path, command: list[str], task: str, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    folder = dataset(tmp_path / "data", str(tmp_path / "data" / "evil.py") if task == "ABSOLUTE" else task)
+    (folder / "evil.py").write_text(Trap(canary).text)
+    monkeypatch.chdir(folder)
+    assert main([command[0], str(folder), *command[1:]]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert "evil" not in sys.modules
+    assert not canary.exists()
+    assert sorted(path.name for path in folder.iterdir()) == ["dataset.json", "evil.py", "generators.json"]
+
+
+def dataset(folder: Path, task: str) -> Path:
+    folder.mkdir()
+    marker = {"format": FORMAT, "version": FORMAT_VERSION, "task": task}
+    (folder / "dataset.json").write_text(json.dumps(marker))
+    source = {"policy": "", "task_definition": "0" * 16, "task_file": "evil.py"}
+    (folder / "generators.json").write_text(json.dumps({"planner_only": source}))
+    return folder
+
+
+def checkpoint(path: Path, canary: Path) -> Path:
+    """Write a pickle in every shape that a loader of checkpoints knows."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bomb = pickle.dumps(Trap(canary))
+    if path.suffix != ".zip":
+        path.write_bytes(bomb)
+        return path
+    encoded = base64.b64encode(cloudpickle.dumps(Trap(canary))).decode()
+    data = {"policy_class": {":type:": "<class 'object'>", ":serialized:": encoded}}
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps(data))
+        archive.writestr("policy.pth", bomb)
+    return path
+
+
+def test_the_checkpoint_of_a_stranger_springs_where_it_is_loaded(tmp_path: Path, canary: Path) -> None:
+    with pytest.raises(pickle.UnpicklingError), warnings.catch_warnings(action="ignore"):
+        FrontierGRPO.load(checkpoint(tmp_path / "model.zip", canary))
+    assert canary.exists()
+
+
+@pytest.mark.parametrize("script", ["enjoy", "record_video", "train"])
+def test_rl_zoo3_loads_nothing_of_a_log_folder_unasked(
+    tmp_path: Path, canary: Path, script: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "logs" / "ppo" / "DynaForge-Can-v0_1"
+    agent = checkpoint(run / "DynaForge-Can-v0.zip", canary)
+    text = f"!!python/object/apply:exec [{Trap(canary).text!r}]"
+    for name in ("args.yml", "config.yml", "vecnormalize.pkl", "obs_rms.pkl"):
+        path = checkpoint(run / "DynaForge-Can-v0" / name, canary)
+        if name.endswith("yml"):
+            path.write_text(text)
+    monkeypatch.chdir(run)
+    more = ["-i", str(agent)] if script == "train" else ["--no-render"] * (script == "enjoy")
+    with pytest.raises(SystemExit, match="--trusted"):
+        zoo.main([script, "--algo", "ppo", "--env", "DynaForge/Can-v0", "-f", str(tmp_path / "logs"), *more])
+    with pytest.raises(SystemExit, match="--trusted"):  # the statistics, which lie where it was started
+        zoo.main(["train", "--algo", "ppo", "--env", "can", "-f", str(tmp_path / "logs")])
+    assert not canary.exists()
+
+
+def test_a_comparison_goes_on_from_no_pickle(tmp_path: Path, canary: Path) -> None:
+    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 8}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    checkpoint(spec.folder / runs.CHECKPOINT, canary)
+    with pytest.raises(ValueError, match="is no checkpoint of this run"):
+        runs.perform(spec)
+    assert not canary.exists()
+
+
+@pytest.mark.slow
+def test_a_comparison_does_not_look_at_a_model_of_sb3(tmp_path: Path, canary: Path) -> None:
+    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 8}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    checkpoint(spec.folder / "model.zip", canary)
+    runs.perform(spec)
+    assert spec.finished
+    assert not canary.exists()
+
+
+def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None:
+    with pytest.raises(ValueError, match="is no dynaforge policy file"):
+        MlpPolicyFile.load(checkpoint(tmp_path / "policy.safetensors", canary))
+    np.save(tmp_path / "bomb.npy", np.array([Trap(canary)], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        np.load(tmp_path / "bomb.npy")  # as `Pack` does
+    assert not canary.exists()
+
+
+# What runs code, by the file that calls it: pipes to this program's own workers; names that are written in the program;
+# and what a user names on the command line to be run.
+OWN_WORKERS = {"envs/vector_pool.py", "envs/vector_worker.py", "envs/processes.py"}
+WRITTEN_HERE = {
+    "cli/bench.py", "cli/main.py", "cli/zoo.py", "demos/exporters/__init__.py", "planning/plots_later.py",
+    "reports/extras.py", "tasks/__init__.py",
+}  # fmt: skip
+NAMED_BY_USERS = {"cli/zoo_env.py", "tasks/task_file.py"}
+RUNS_CODE = {
+    "pickle.load", "pickle.loads", "Unpickler", "cloudpickle.load", "cloudpickle.loads", "th.load", "torch.load",
+    "exec", "eval", "yaml.load", "yaml.full_load", "yaml.unsafe_load", "import_module", "importlib.import_module",
+    "__import__", "builtins.__import__", "runpy.run_module", "runpy.run_path", "VecNormalize.load",
+}  # fmt: skip
+
+
+def test_no_other_part_of_the_package_runs_what_it_reads() -> None:
+    package = Path(dynaforge.__file__).parent
+    found = set()
+    for path in package.rglob("*.py"):
+        calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+        pickled = any(keyword.arg == "allow_pickle" for call in calls for keyword in call.keywords)
+        if pickled or any(ast.unparse(call.func) in RUNS_CODE for call in calls):
+            found.add(path.relative_to(package).as_posix())
+    assert found <= OWN_WORKERS | WRITTEN_HERE | NAMED_BY_USERS
+    assert {"tasks/task_file.py", "envs/vector_worker.py"} <= found
