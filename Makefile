@@ -1,5 +1,7 @@
+# Python 3.11 on Linux x86-64 installs without a compiler; elsewhere PyBullet is compiled, ten minutes or more, which
+# needs a C++ compiler and Python's headers: `apt install g++ python3-dev`, or `xcode-select --install` on macOS.
 # Every target sets up what it needs first: the stamp stands for a virtual environment with the pinned packages.
-PYTHON ?= python3
+PYTHON ?= $(shell python3.11 -c '' 2>/dev/null && echo python3.11 || echo python3)
 PYTHON312 ?= python3.12
 BIN := .venv/bin
 STAMP := .venv/.installed
@@ -49,6 +51,7 @@ clean: ## Remove the virtual environment, builds and caches; results, runs, logs
 $(STAMP): setup.cfg pyproject.toml constraints.txt Makefile
 	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
+	@$(PYTHON) -c 'import platform as p, sys; sys.exit((sys.version_info[:2], p.system(), p.machine()) != ((3, 11), "Linux", "x86_64"))' || command -v c++ >/dev/null || { echo "make: PyBullet is compiled for this Python, and there is no C++ compiler: name a Python 3.11 (make PYTHON=python3.11), or install one with Python's headers (apt install g++ python3-dev)" >&2; exit 1; }
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,viser,dev]"
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic termcolor  # its reader, not its vision models

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import configparser
+import platform
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from pathlib import Path
 
@@ -65,6 +68,37 @@ def test_every_dependency_is_pinned_by_the_constraints_within_its_range() -> Non
         if line.strip():
             requirement = Requirement(line)
             assert pins[canonicalize_name(requirement.name)] in requirement.specifier
+
+
+READY_MADE = (sys.version_info[:2], platform.system(), platform.machine()) == ((3, 11), "Linux", "x86_64")
+
+
+@pytest.mark.skipif(not READY_MADE, reason="PyBullet has a wheel for Python 3.11 on Linux x86-64 only")
+def test_no_pinned_package_was_compiled_here() -> None:
+    """Installing needs no compiler: what pip compiles itself carries a tag without the `many` of a published wheel."""
+    compiled = []
+    for line in (ROOT / "constraints.txt").read_text().splitlines():
+        try:
+            wheel = distribution(line.partition("==")[0]).read_text("WHEEL") or ""
+        except (PackageNotFoundError, ValueError):  # of an extra that is not installed, or the comment
+            continue
+        tags = re.findall(r"^Tag: \S+-(\S+)$", wheel, re.MULTILINE)
+        compiled += [line] * any(tag.startswith("linux") for tag in tags)
+    assert compiled == []
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(not READY_MADE, reason="PyBullet has a wheel for Python 3.11 on Linux x86-64 only")
+def test_every_requirement_of_the_default_install_comes_as_a_wheel() -> None:
+    """Asks the package index; robomimic, pure Python, is the one source distribution beside them."""
+    (extras,) = re.findall(r"-e \"\.\[(.*)\]\"", (ROOT / "Makefile").read_text())
+    pip = [sys.executable, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--only-binary=:all:"]
+    if subprocess.run([*pip, "six"], capture_output=True, check=False, timeout=100).returncode:
+        pytest.skip("no package index answers")
+    asked = [*pip, "-c", "constraints.txt", f".[{extras}]", "termcolor"]
+    done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False, timeout=500)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_wheel_contains_all_code_and_all_resources(tmp_path: Path) -> None:
