@@ -5,6 +5,12 @@ action) with Gymnasium, and those of the task files that the environment variabl
 """
 
 import os
+import sys
+
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and "dynaforge" in (w.partition(".")[0] for w in sys.orig_argv):
+    # Run as `python -m dynaforge`, the current folder stands first: a json.py in it must not stand in for the real one.
+    sys.path.append(sys.path.pop(0))
+
 from importlib.metadata import version
 
 from dynaforge.registration import register_envs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gymnasium.envs.registration import register
+from gymnasium.envs.registration import register, registry
 
 ENV_NAMES = {
     "can": "Can",
@@ -47,9 +47,14 @@ def task_named(given: str) -> str | None:
 
 
 def register_envs() -> None:
-    """Register `DynaForge/<Task>-v0` and `DynaForge/<Task>Task-v0` of every task of the package."""
+    """Register `DynaForge/<Task>-v0` and `DynaForge/<Task>Task-v0` of every task of the package; once is enough.
+
+    Called on `import dynaforge`, by an id with the module before it ("dynaforge:DynaForge/Can-v0"), and by what loads
+    plugins of the group "gymnasium.envs".
+    """
     for task in tuple(ENV_NAMES):
-        register_task(task, ENV_NAMES[task], task)
+        if env_id(task) not in registry:
+            register_task(task, ENV_NAMES[task], task)
 
 
 def register_task(name: str, env_name: str, source: str) -> None:
