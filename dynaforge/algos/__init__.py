@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO
+    from dynaforge.algos.settings import recommended
 
-__all__ = ["FrontierGRPO"]
+__all__ = ["FrontierGRPO", "recommended"]
 
 
 def __getattr__(name: str) -> Any:
@@ -14,4 +15,8 @@ def __getattr__(name: str) -> Any:
         from dynaforge.algos.frontier_grpo import FrontierGRPO
 
         return FrontierGRPO
+    if name == "recommended":
+        from dynaforge.algos.settings import recommended
+
+        return recommended
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

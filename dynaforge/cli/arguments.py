@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 
+from dynaforge.algos.settings import arms, known_algorithms
 from dynaforge.cli.options import (
     MOST,
     SEEDS,
@@ -23,7 +24,6 @@ from dynaforge.cli.options import (
     shard,
     shown,
 )
-from dynaforge.cli.settings import arms, known_algorithms
 from dynaforge.cli.task_arguments import add_task_argument, chosen_task
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.tasks import STREAMS
@@ -61,8 +61,9 @@ def forge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--residual-frame", **one_of("frame", frames), help="instead of the task's own")
     add_workers(parser)
     parser.add_argument(
-        "--out", type=Written("folder", empty=True), help="new or empty folder; by default a new runs/TASK-N"
-    )
+        "--out", type=Written("folder", holding="forge.json"),
+        help="folder, new or of this same command, which then goes on; by default runs/TASK-N",
+    )  # fmt: skip
 
 
 def check_forge(options: argparse.Namespace) -> None:

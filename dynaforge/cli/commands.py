@@ -5,20 +5,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 
 from dynaforge.cli import arguments, dataset_arguments
+from dynaforge.cli.forge_folder import default_folder
 from dynaforge.cli.options import Parser
 from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
 
 
 def _nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
     """Add no argument; find no fault."""
-
-
-def _next_free(stem: str) -> Path:
-    return next(path for k in count(1) if not (path := Path(f"{stem}-{k}")).exists())
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +66,7 @@ COMMANDS = {
         ("forge --task can", "forge --task peach --budget 30m --demos 200 --out runs/peach"),
         add=arguments.forge,
         check=arguments.check_forge,
-        out=lambda options: _next_free(f"runs/{chosen_task(options).name}"),
+        out=default_folder,
     ),
     "list": Command("the tasks", ("list",), module="describe"),
     "describe": Command(

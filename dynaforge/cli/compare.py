@@ -18,10 +18,10 @@ from typing import Any
 
 from tqdm import tqdm
 
+from dynaforge.algos.settings import arms
 from dynaforge.cli import training
-from dynaforge.cli.forge import make_folder
+from dynaforge.cli.forge_folder import make_folder
 from dynaforge.cli.runs import END_WITH_STDIN, Exam, RunSpec
-from dynaforge.cli.settings import arms
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id

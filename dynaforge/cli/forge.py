@@ -6,23 +6,26 @@ import argparse
 import contextlib
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import training
+from dynaforge.cli.checkpoint import load_checkpoint, save_checkpoint
 from dynaforge.cli.film import film_clips
+from dynaforge.cli.forge_folder import ForgeFolder, asked_for
 from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.cli.versions import package_versions
-from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write, check_writable
+from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
 from dynaforge.evaluation import (
     DgrReport,
     PairedDifference,
@@ -43,58 +46,48 @@ from dynaforge.reports import (
 )
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+from dynaforge.tasks.digest import task_digest
 
-SAVED_EVERY = 10  # updates: what a kill may cost of the policy
+CHECKPOINT = "checkpoint.safetensors"
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report
 
 
-def make_folder(folder: Path) -> None:
-    """Make the folder of `--out`, or see that it can be written to.
-
-    Raises:
-        ValueError: It cannot be made.
-        PermissionError: It cannot be written to.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
-    check_writable(folder)
-
-
 def run(options: argparse.Namespace) -> int:
-    """Forge demonstrations; see the module's description."""
+    """Forge demonstrations, or go on with what an interruption left; see the module's description."""
     started = time.monotonic()
     task = chosen_task(options)
     if options.residual_frame is not None:
         task = replace(task, residual=replace(task.residual, frame=options.residual_frame))
-    training.hyperparameters(options.algo, task.name)
-    make_folder(options.out)
-    out = options.out
+    folder = ForgeFolder.of(options.out, _about(task, options))
+    out = folder.path
+    if folder.resumed:
+        print(f"{out} holds this run{': finished' if folder.finished else ' in part: going on'}")
 
     print(f"[1/5] the planner alone, {options.attempts} fresh conditions")
-    before = _measure(task, PlannerOnly(), islice(task.conditions.stream("val"), options.attempts), options.workers)
-    print(f"      it wins {np.mean([a.success for a in before]):.0%}")
+    before = folder.stage("planner", lambda: _measured(task, [PlannerOnly()], "val", options))
+    wins = [attempt.success for attempt in _attempts(before)[0]]
+    print(f"      it wins {np.mean(wins):.0%}")
 
-    seconds = 60 * options.budget * (1 - MEASURING_SHARE) - (time.monotonic() - started)
+    seconds = 60 * options.budget * (1 - MEASURING_SHARE) - before["seconds"]
     print(f"[2/5] training with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
-    trained = train(task, options, out, seconds)
+    trained = train(task, options, folder, seconds)
     if trained.interrupted:
         print(f"interrupted after {len(trained.history)} updates; policy saved: {out / 'policy.safetensors'}")
+        print("the same command goes on")
         return 130
 
     print(f"[3/5] planner and residual on {options.attempts} other fresh conditions")
     residual = ResidualGenerator(trained.policy, policy_hash=trained.policy.digest)
-    fresh = list(islice(task.conditions.stream("test"), options.attempts))
-    pair = [_measure(task, generator, fresh, options.workers) for generator in (PlannerOnly(), residual)]
+    pair = _attempts(folder.stage("measured", lambda: _measured(task, [PlannerOnly(), residual], "test", options)))
     paired = paired_difference(*[[a.success for a in attempts] for attempts in pair])
     reports = [_report(task, attempts) for attempts in pair]
 
     print(f"[4/5] collecting {options.demos} demonstrations")
     dataset = _collect(task, residual, out / "demos", options)
 
-    print("[5/5] writing the report")
-    _write(out, task, options, trained.history, reports, paired, pair[1])
+    if not folder.finished:
+        print("[5/5] writing the report")
+        _write(out, task, options, trained.history, reports, paired, pair[1])
     print()
     print(comparison_table(reports, paired=paired))
     print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
@@ -113,42 +106,77 @@ class Trained:
     interrupted: bool
 
 
-def train(task: Task, options: argparse.Namespace, out: Path, seconds: float) -> Trained:
-    """Train until the time or the updates are up; the policy is saved on the way, at the end and at Ctrl-C."""
+def train(task: Task, options: argparse.Namespace, folder: ForgeFolder, seconds: float) -> Trained:
+    """Train until the time or the updates are up; every update is stored, and a resumed training goes on from there."""
+    stored, checkpoint, policy = (folder.path / name for name in ("history.json", CHECKPOINT, "policy.safetensors"))
+    if (folder.path / "trained.json").is_file():
+        return Trained(MlpPolicyFile.load(policy, task=task), TrainingHistory.load(stored), interrupted=False)
     settings = training.hyperparameters(options.algo, task.name)
-    env = training.training_env(task, settings["n_envs"], cores=options.workers)
-    history, interrupted = TrainingHistory(), False
+    env = training.training_env(task, settings["n_envs"], algo=options.algo, cores=options.workers)
+    history, interrupted, total = TrainingHistory(), False, int(settings["n_timesteps"])
 
     def save() -> MlpPolicyFile:
         saved = training.policy_file(model, task.name, algo=options.algo, seed=options.seed, updates=len(history))
-        saved.save(out / "policy.safetensors")
-        history.save(out / "history.json")
+        history.save(stored)  # first: a history longer than its checkpoint is cut, a shorter one would have a hole
+        save_checkpoint(model, checkpoint)
+        saved.save(policy)
         return saved
 
     def between_updates(updates: int) -> bool:
-        if updates and updates % SAVED_EVERY == 0:
+        if updates:
             save()
         return limit(updates)
 
     try:
-        model = training.build_model(task.name, env, algo=options.algo, seed=options.seed)
+        counting = {} if options.algo == "ppo" else {"timesteps": "gated"}
+        model = training.build_model(task.name, env, algo=options.algo, seed=options.seed, **counting)
+        if checkpoint.is_file():
+            load_checkpoint(model, checkpoint, seed=options.seed)
+            history = TrainingHistory.load(stored).up_to(model.num_timesteps)
+            print(f"      going on after {len(history)} updates")
+        resumed = len(history) > 0
         limit = TimeLimit(history, seconds=seconds, updates=options.updates)
         try:
             monitor = TrainingMonitor(history, task.conditions, between_updates)
-            model.learn(int(settings["n_timesteps"]), callback=monitor)
+            left = total - model.num_timesteps
+            with training.decaying_within(model, limit.used):
+                if left > 0:
+                    model.learn(left, callback=monitor, reset_num_timesteps=not resumed)
         except KeyboardInterrupt:
             interrupted = True
         finally:
             limit.close()
-        policy = save()
-        training.save_model(model, out / "model.zip")
+        final = save()
+        training.save_model(model, folder.path / "model.zip")
     finally:
         env.close()
-    return Trained(policy, history, interrupted)
+    if not interrupted:
+        folder.stage("trained", lambda: {"updates": len(history), "policy": final.digest})
+    return Trained(final, history, interrupted)
 
 
-def _measure(task: Task, generator: Generator, conditions: Iterable[Condition], workers: int) -> list[Attempt]:
-    conditions = list(conditions)
+def _about(task: Task, options: argparse.Namespace) -> dict[str, Any]:
+    """Return what makes it this run; how many workers make it may change."""
+    settings = training.hyperparameters(options.algo, task.name)
+    return asked_for(options) | {"task_definition": task_digest(task), "settings": settings}
+
+
+def _measured(task: Task, generators: Sequence[Generator], stream: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Measure generators on the same conditions; returns plain data."""
+    started = time.monotonic()
+    conditions = list(islice(task.conditions.stream(stream), options.attempts))
+    runs = [_measure(task, generator, conditions, options.workers) for generator in generators]
+    return {
+        "attempts": [[attempt.to_dict() for attempt in attempts] for attempts in runs],
+        "seconds": time.monotonic() - started,
+    }
+
+
+def _attempts(measured: dict[str, Any]) -> list[list[Attempt]]:
+    return [[Attempt.from_dict(data) for data in attempts] for attempts in measured["attempts"]]
+
+
+def _measure(task: Task, generator: Generator, conditions: Sequence[Condition], workers: int) -> list[Attempt]:
     results = unless_all_raise(run_attempts(task, generator, conditions, workers=workers), generator=generator.name)
     return [r.attempt for r in tqdm(results, total=len(conditions), leave=False, unit="attempt", desc=generator.name)]
 

@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.settings import hyperparameters
+from dynaforge.algos.settings import hyperparameters
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
 from dynaforge.envs.processes import end_after

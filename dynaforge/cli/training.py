@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,13 @@ import numpy as np
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli.settings import hyperparameters as hyperparameters
+from dynaforge.algos.settings import hyperparameters as hyperparameters
+from dynaforge.algos.settings import model_arguments
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.cli.versions import package_versions
 from dynaforge.demos import atomic_write
@@ -28,19 +29,21 @@ from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.evaluation.history import STRATA, TrainingHistory
 from dynaforge.tasks import ConditionSpace, Task
 
-NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 
 
-def training_env(task: Task, n_envs: int, *, cores: int = 2) -> VecEnv:
+def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores: int = 2) -> VecEnv:
     """Make the vectorised env to collect in.
 
-    On several cores: mask mode, so that no env's long lift stalls the others, and two workers a core, so that one
-    with less to do leaves its share of the core to the others. On one core: this process, where nothing can stall.
+    On several cores: two workers a core, so that one with less to do leaves its share of the core to the others; and
+    for FrontierGRPO mask mode, so that no env's long lift stalls the others. It leaves out steps without effect, and
+    counts them as under "skip" with `timesteps="gated"`; PPO would learn from them. On one core: this process, where
+    nothing can stall.
     """
     if cores == 1:
         return DummyVecEnv([partial(ResidualEnv, task)] * n_envs)
-    return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode="mask")] * n_envs, n_workers=2 * cores)
+    gate_mode = "mask" if ALGORITHMS[algo] is FrontierGRPO else "skip"
+    return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode=gate_mode)] * n_envs, n_workers=2 * cores)
 
 
 def build_model(
@@ -55,17 +58,32 @@ def build_model(
         seed: Training seed.
         changes: Hyperparameters to override.
     """
-    options = hyperparameters(algo, task, changes)
-    policy = options["policy"]
-    kept = {name: _scheduled(value) for name, value in options.items() if name not in NOT_THE_MODEL}
-    return ALGORITHMS[algo](policy, env, seed=seed, device="cpu", **kept)
+    settings = hyperparameters(algo, task, changes)
+    return ALGORITHMS[algo](settings["policy"], env, seed=seed, device="cpu", **model_arguments(settings))
 
 
-def _scheduled(value: Any) -> Any:
-    """Turn "lin_1e-3" into a linear decay to zero over the run, as rl-zoo configs mean it."""
-    if isinstance(value, str) and value.startswith("lin_"):
-        return LinearSchedule(start=float(value.removeprefix("lin_")), end=0.0, end_fraction=1.0)
-    return value
+@contextlib.contextmanager
+def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iterator[None]:
+    """Let every schedule of a model run by the larger of two shares: of the steps taken, and of a budget used up.
+
+    Stable-Baselines3 knows steps alone. A training that ends by the clock would end at half its rate, say, since how
+    many steps it has time for is not known beforehand.
+
+    Args:
+        model: The model that learns in the block.
+        used: Share of the budget used so far, 0 to 1.
+    """
+    by_steps = model._update_current_progress_remaining
+
+    def by_steps_and_budget(num_timesteps: int, total_timesteps: int) -> None:
+        by_steps(num_timesteps, total_timesteps)
+        model._current_progress_remaining = max(0.0, min(model._current_progress_remaining, 1.0 - used()))
+
+    vars(model)[by_steps.__name__] = by_steps_and_budget
+    try:
+        yield
+    finally:
+        del vars(model)[by_steps.__name__]
 
 
 def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
@@ -160,14 +178,15 @@ class TimeLimit:
     """Ends training when the time or the updates are up, and shows a bar with success by stratum.
 
     Args:
-        history: Of the run.
+        history: Of the run; the time that a resumed one has spent counts.
         seconds: Wall time allowed; no update is begun that would not end in time.
         updates: Updates allowed; None for no limit.
     """
 
     def __init__(self, history: TrainingHistory, *, seconds: float, updates: int | None = None) -> None:
         self._history, self._seconds, self._updates = history, seconds, updates
-        self._start = self._last = time.monotonic()
+        self._last = time.monotonic()
+        self._start = self._last - sum(history.collect_wall) - sum(history.optimize_wall)
         self._longest = 0.0
         self._bar = tqdm(
             total=round(seconds), unit="s",
@@ -184,6 +203,12 @@ class TimeLimit:
         self._bar.update(min(now - self._start, self._seconds) - self._bar.n)
         time_is_up = now - self._start + self._longest > self._seconds
         return not time_is_up and (self._updates is None or updates < self._updates)
+
+    def used(self) -> float:
+        """Return the share of the time that is used, or of the updates before the one under way if that is larger."""
+        time_share = (time.monotonic() - self._start) / self._seconds if self._seconds > 0 else 1.0
+        update_share = max(0, len(self._history) - 1) / self._updates if self._updates else 0.0
+        return min(1.0, max(time_share, update_share))
 
     def close(self) -> None:
         """Leave the bar as it is."""

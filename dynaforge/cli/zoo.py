@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from dynaforge.cli import settings
+from dynaforge.algos import settings
 from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
 from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.tasks import what_was_meant

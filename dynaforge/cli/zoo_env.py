@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from dynaforge.cli.settings import entry_of
+from dynaforge.algos.settings import entry_of
 from dynaforge.registration import env_id, env_ids, task_named
 from dynaforge.tasks import Task, get_task
 

@@ -171,6 +171,17 @@ def test_a_truncated_episode_has_not_succeeded(cap, tmp_path):
     assert sum(row.endswith("True") for row in rows) == won.sum()
 
 
+def test_gated_counting_leaves_out_what_had_no_effect_but_no_episode():
+    class NeverGated(MatchEnv):
+        def step(self, action):
+            *rest, info = super().step(action)
+            return *rest, info | {"residual_mask": 0.0}
+
+    assert small(envs(3), timesteps="active").learn(1).num_timesteps == 16 * 3
+    assert small(envs(3), timesteps="gated").learn(1).num_timesteps == 16 * 2
+    assert small(DummyVecEnv([NeverGated] * 3), timesteps="gated").learn(1).num_timesteps == 16
+
+
 def test_an_iteration_of_which_nothing_ended_by_itself_teaches_nothing_and_says_so():
     model = small(envs(2), max_episode_steps=1, scale_learning_rate="failures")
     before = weights(model)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from dynaforge.algos.settings import arms
 from dynaforge.cli import compare, runs
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.cli.runs import Exam, RunSpec
-from dynaforge.cli.settings import arms
 from dynaforge.evaluation import TrainingHistory
 
 TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from dynaforge.algos.settings import arms
 from dynaforge.cli import compare
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.main import main
 from dynaforge.cli.runs import RunSpec
-from dynaforge.cli.settings import arms
 from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.dataset import Provenance

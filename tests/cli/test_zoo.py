@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.algos.settings import arms
 from dynaforge.cli import zoo
 from dynaforge.cli.main import main
-from dynaforge.cli.settings import arms
 
 
 def run(*arguments: str) -> str:

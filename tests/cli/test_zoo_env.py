@@ -12,8 +12,8 @@ import pytest
 from test_zoo import run, zoo_process
 
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.algos.settings import hyperparameters
 from dynaforge.cli import zoo
-from dynaforge.cli.settings import hyperparameters
 
 
 @pytest.fixture

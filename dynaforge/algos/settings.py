@@ -15,6 +15,8 @@ from dynaforge.tasks import get_task
 LIKE = "DynaForge/Can-v0"
 """The env whose settings a task takes that no file lists: one of your own."""
 
+NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
+
 
 def config_file(algo: str) -> Path | None:
     """Return the file of zoo_configs for an algorithm, or None."""
@@ -55,6 +57,37 @@ def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = No
     changes = changes or {}
     left_out = {name for name, value in changes.items() if value is None}
     return {name: value for name, value in (listed[entry] | dict(changes)).items() if name not in left_out}
+
+
+def recommended(env: str, algo: str = "frontier_grpo", **changes: Any) -> dict[str, Any]:
+    """Return the settings with which `dynaforge train` builds a model for an env, as arguments of its class.
+
+    `FrontierGRPO("MlpPolicy", env, **recommended(env))`, `PPO("MlpPolicy", env, **recommended(env, "ppo"))`. What the
+    file says besides, how many envs to collect in and for how many steps, is in `hyperparameters`.
+
+    Args:
+        env: Env id, task name or file.
+        algo: Which file of zoo_configs.
+        changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
+
+    Raises:
+        ValueError: No file for the algorithm, or no entry for the env.
+    """
+    return model_arguments(hyperparameters(algo, env, changes))
+
+
+def model_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what of an entry of zoo_configs a model's constructor takes, besides policy and env."""
+    return {name: _scheduled(value) for name, value in settings.items() if name not in NOT_THE_MODEL}
+
+
+def _scheduled(value: Any) -> Any:
+    """Turn "lin_1e-3" into a linear decay to zero over the run, as rl-zoo configs mean it."""
+    if isinstance(value, str) and value.startswith("lin_"):
+        from stable_baselines3.common.utils import LinearSchedule
+
+        return LinearSchedule(start=float(value.removeprefix("lin_")), end=0.0, end_fraction=1.0)
+    return value
 
 
 def arms() -> dict[str, dict[str, Any]]:

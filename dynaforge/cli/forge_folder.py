@@ -1,0 +1,117 @@
+"""The folder of a run of `forge`: what was asked for and every finished stage, so that the same command goes on.
+
+Read before anything heavy is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Mapping
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from dynaforge.cli.task_arguments import chosen_task
+
+ABOUT = "forge.json"
+REPORT = "report.html"  # written last
+ASKED = ("budget", "updates", "demos", "attempts", "seed", "algo", "residual_frame")
+
+
+class ForgeFolder:
+    """A folder of one run; plain data, so that going on from somebody's folder runs no code.
+
+    Attributes:
+        path: The folder.
+        resumed: Whether it holds the beginning of the run already.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
+        self.path = path
+        self.resumed = (path / ABOUT).is_file()
+        if not self.resumed:
+            from dynaforge.demos import atomic_write
+
+            atomic_write(path / ABOUT, json.dumps(about, indent=1).encode() + b"\n")
+
+    @staticmethod
+    def of(path: Path, about: Mapping[str, Any]) -> ForgeFolder:
+        """Open a folder that is new, empty, or of this very run.
+
+        Raises:
+            ValueError: It cannot be made, or holds another run.
+            PermissionError: It cannot be written to.
+        """
+        mine: dict[str, Any] = json.loads(json.dumps(about))
+        held = _read(path / ABOUT) if (path / ABOUT).is_file() else mine
+        if held != mine:
+            was, now = ({k: side.get(k) for k in {*held, *mine} if held.get(k) != mine.get(k)} for side in (held, mine))
+            raise ValueError(
+                f"--out {path} holds a run with {_spell(was)}, now {_spell(now)} is asked for. "
+                "Choose another --out, or repeat the command of that run to go on with it."
+            )
+        make_folder(path)
+        return ForgeFolder(path, mine)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end."""
+        return (self.path / REPORT).is_file()
+
+    def stage(self, name: str, make: Callable[[], Any]) -> Any:
+        """Return the plain data of a stage: stored by an earlier call of the command, or made now and stored."""
+        path = self.path / f"{name}.json"
+        if not path.is_file():
+            from dynaforge.demos import atomic_write
+
+            atomic_write(path, json.dumps(make()).encode() + b"\n")
+        return _read(path)
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of `--out`, or see that it can be written to.
+
+    Raises:
+        ValueError: It cannot be made.
+        PermissionError: It cannot be written to.
+    """
+    from dynaforge.demos import check_writable
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    check_writable(folder)
+
+
+def asked_for(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what the arguments say of a run, as plain data; how many workers make it may change."""
+    return {name: getattr(options, name) for name in ASKED} | {"task": chosen_task(options).name}
+
+
+def default_folder(options: argparse.Namespace) -> Path:
+    """Return the latest runs/TASK-N if it waits to go on with the same arguments, else the next free one."""
+    asked = asked_for(options)
+    stem = f"runs/{asked['task']}"
+    free = next(k for k in count(1) if not Path(f"{stem}-{k}").exists())
+    latest = Path(f"{stem}-{free - 1}")
+    if (latest / ABOUT).is_file() and not (latest / REPORT).is_file():
+        held = _read(latest / ABOUT)
+        if all(held.get(name) == value for name, value in asked.items()):
+            return latest
+    return Path(f"{stem}-{free}")
+
+
+def _read(path: Path) -> Any:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is damaged ({error}). Remove it to have this stage made again.") from error
+    if not isinstance(data, dict):
+        raise ValueError(f"{path} holds {type(data).__name__}, expected a mapping. Remove it to have it made again.")
+    return data
+
+
+def _spell(values: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in sorted(values.items()))
