@@ -49,7 +49,7 @@ def forge(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--updates", type=Whole(), help="stop training after so many updates, even if time is left")
     parser.add_argument("--demos", type=Whole(), default=50, help="successful demonstrations to collect")
-    parser.add_argument("--attempts", type=Whole(), default=100, help="fresh conditions of each measurement")
+    parser.add_argument("--attempts", type=Whole(1, 10**5), default=100, help="fresh conditions of each measurement")
     parser.add_argument("--seed", type=Whole(0, SEEDS - 1), default=0, help="training seed")
     parser.add_argument(
         "--algo",
@@ -171,13 +171,15 @@ def compare(parser: argparse.ArgumentParser) -> None:
         "--algos", nargs="+", type=Choice("algorithm", known), action=Distinct, metavar="NAME",
         default=["ppo", "grpo", "frontier_grpo"], help=f"of {', '.join(known)}",
     )  # fmt: skip
-    parser.add_argument("--train-seeds", type=Whole(), default=3, help="training seeds 0, 1, ... of each")
+    parser.add_argument("--train-seeds", type=Whole(1, 1000), default=3, help="training seeds 0, 1, ... of each")
     parser.add_argument(
         "--steps", type=Number(1, MOST), default=1e5, help="environment steps of a run, about 50 updates"
     )
     _add_stream(parser, "test")
-    parser.add_argument("--seeds", type=Whole(), default=3, help="blocks of conditions that measure a finished policy")
-    parser.add_argument("--attempts", type=Whole(), default=100, help="conditions a block")
+    parser.add_argument(
+        "--seeds", type=Whole(1, 1000), default=3, help="blocks of conditions that measure a finished policy"
+    )
+    parser.add_argument("--attempts", type=Whole(1, 10**5), default=100, help="conditions a block")
     parser.add_argument(
         "--vary", nargs="+", type=Text("a setting or a value, without '/'", r"[^/\x00-\x1f]+"),
         metavar=("SETTING", "VALUE"), help="an arm for each value, e.g. learning_rate 5e-4 1e-3",

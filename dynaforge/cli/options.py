@@ -176,7 +176,7 @@ def minutes(text: str) -> float:
     units = {"s": 1 / 60, "m": 1.0, "h": 60.0}
     bare, unit = (text[:-1], units[text[-1]]) if text[-1:] in units else (text, 1.0)
     try:
-        return Number(above=0)(bare) * unit
+        return Number(above=0, maximum=MOST)(bare) * unit
     except Refused:
         raise Refused(f"{shown(text)} is no span of time; write 90s, 10m or 1.5h.") from None
 

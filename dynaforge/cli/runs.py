@@ -22,6 +22,7 @@ from dynaforge.demos import atomic_write
 from dynaforge.envs.processes import end_after
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
+from dynaforge.generators.giving_up import unless_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
@@ -178,13 +179,19 @@ def perform(spec: RunSpec) -> None:
 
 
 def examine(task: Task, generator: Generator, exam: Exam, path: Path) -> None:
-    """Measure a generator on an exam's conditions, in this process, and store every outcome."""
+    """Measure a generator on an exam's conditions, in this process, and store every outcome.
+
+    Raises:
+        GaveUp: It only raises, so that there is nothing to measure.
+    """
     from dynaforge.envs.residual_env import ResidualEnv
 
     env = ResidualEnv(task)
     rows = []
-    for block, condition in exam.conditions(task):
-        attempt = attempt_once(env, generator, condition).attempt
+    results = (attempt_once(env, generator, condition) for _, condition in exam.conditions(task))
+    sound = unless_all_raise(results, generator=generator.name)
+    for (block, condition), result in zip(exam.conditions(task), sound, strict=True):
+        attempt = result.attempt
         outcome = "success" if attempt.success else attempt.failure
         rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})
         tell(text=f"measuring on {exam.stream}, {len(rows)} of {exam.blocks * exam.attempts}")
