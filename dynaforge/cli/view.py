@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.demos.observations import FOLDER, ObservationFolder
+from dynaforge.demos.observations import FOLDER, SETTINGS, ObservationFolder
 from dynaforge.envs.processes import worker_pool
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.scene3d import Scene3D, SceneRecorder, write_rerun, write_viser
@@ -170,6 +170,12 @@ def scene_folder(page: Path) -> Path:
 
 
 def _observations(options: argparse.Namespace) -> Path | None:
-    """Return the folder of rendered observations; None without one."""
+    """Return the folder of rendered observations; None without one.
+
+    Raises:
+        DamagedFileError: Its settings cannot be read.
+    """
     path: Path = options.observations or options.folder / FOLDER
-    return path if options.observations or (path / "settings.json").is_file() else None
+    if not options.observations and not (path / SETTINGS).exists():
+        return None
+    return ObservationFolder(path).path  # said before the work
