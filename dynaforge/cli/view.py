@@ -15,7 +15,8 @@ from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.demos.observations import FOLDER, SETTINGS, ObservationFolder
+from dynaforge.demos.observation_file import SETTINGS
+from dynaforge.demos.observations import FOLDER, ObservationFolder
 from dynaforge.envs.processes import worker_pool
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.scene3d import Scene3D, SceneRecorder, write_rerun, write_viser

@@ -43,13 +43,14 @@ def write_viewer(
         title: Headline.
         recorded: Ids of the recordings that the dataset holds, shown or not.
     """
-    rows = {attempt.id: _row(task, attempt, recorded) for attempt in attempts}
+    easiest_first = sorted(attempts, key=lambda attempt: attempt.difficulty)
+    rows = {attempt.id: _row(task, attempt, recorded) for attempt in easiest_first}
     for shown in episodes:
         if shown.id in rows:
             rows[shown.id] |= {"note": shown.note}
             if shown.episode is not None and len(shown.episode):
                 rows[shown.id] |= _recording(shown, shown.episode)
-    listed = sorted(rows.values(), key=lambda row: ("time" not in row, row["difficulty"]))
+    listed = sorted(rows.values(), key=lambda row: "time" not in row)
     unit = task.conditions.units.get(task.conditions.difficulty, "")
     page = {
         "title": title, "task": task.name, "unit": unit,
@@ -128,7 +129,7 @@ def _recording(shown: Shown, episode: Episode) -> dict[str, Any]:
 
 def _figures(value: float) -> float:
     """Round to what a reader compares: own tasks may have fields of any size."""
-    return float(f"{value:.4g}")
+    return float(f"{value:.3g}")
 
 
 def _time(noted: object) -> float | None:
