@@ -45,8 +45,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     cameras = [replace(standard_cameras(CAN)[name], size=(15, 9)) for name in ("side", "wrist")]
     observations = ObservationFolder(folder / "observations", ObservationSettings(tuple(cameras)))
     for episode in dataset:
-        seen = {f"{c.name}/rgb": np.zeros((len(episode), 9, 15, 3), np.uint8) for c in cameras}
-        observations.write(episode, seen, [])
+        layout = observations.settings.layout
+        observations.write(episode, {n: np.zeros((len(episode), *s), t) for n, (s, t) in layout.items()}, [])
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(viewer_clips, "EVERY", EVERY)
         assert main(["view", str(folder), "--limit", "2", "--workers", "1"]) == 0
