@@ -10,7 +10,7 @@ import argparse
 from dynaforge.algos.settings import arms, known_algorithms
 from dynaforge.cli.options import (
     MOST,
-    SEEDS,
+    SEED,
     Choice,
     Distinct,
     Existing,
@@ -22,14 +22,15 @@ from dynaforge.cli.options import (
     minutes,
     one_of,
     shard,
-    shown,
 )
 from dynaforge.cli.task_arguments import add_task_argument, chosen_task
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.sim.checks import shown
 from dynaforge.tasks import STREAMS
 
 GENERATORS = ("planner_only", "residual", "exploring", "oracle")
 COLLECTING = ("residual", "planner_only")  # the oracle knows the outcome beforehand, exploring is for training
+USED_BY = {"policy": ("residual", "exploring"), "oracle_tries": ("oracle",), "sigma": ("exploring",)}
 LEAST_BUDGET = 0.5  # minutes
 SHIPPED = "policy file, for the generator residual; default: the shipped one"
 
@@ -50,13 +51,11 @@ def forge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--updates", type=Whole(), help="stop training after so many updates, even if time is left")
     parser.add_argument("--demos", type=Whole(), default=50, help="successful demonstrations to collect")
     parser.add_argument("--attempts", type=Whole(1, 10**5), default=100, help="fresh conditions of each measurement")
-    parser.add_argument("--seed", type=Whole(0, SEEDS - 1), default=0, help="training seed")
+    parser.add_argument("--seed", type=SEED, default=0, help="training seed")
     parser.add_argument(
-        "--algo",
-        **one_of("algorithm", known_algorithms()),
-        default="frontier_grpo",
+        "--algo", **one_of("algorithm", known_algorithms()), default="frontier_grpo",
         help="which file of zoo_configs to train with",
-    )
+    )  # fmt: skip
     frames = ("target", "world")
     parser.add_argument("--residual-frame", **one_of("frame", frames), help="instead of the task's own")
     add_workers(parser)
@@ -112,16 +111,9 @@ def collect(parser: argparse.ArgumentParser) -> None:
         help="end, with the reasons, after N attempts in a row without a success; 0: never (default, with --demos: "
         "20 for each demonstration, at least 50)",
     )  # fmt: skip
-    parser.add_argument(
-        "--generator",
-        **one_of("generator", COLLECTING),
-        default="residual",
-        help="what attempts",
-    )
+    parser.add_argument("--generator", **one_of("generator", COLLECTING), default="residual", help="what attempts")
     parser.add_argument("--policy", type=Existing("file"), help=SHIPPED)
-    parser.add_argument(
-        "--seed", type=Whole(0, SEEDS - 1), default=0, help="block of the condition stream: another, other conditions"
-    )
+    parser.add_argument("--seed", type=SEED, default=0, help="block of the condition stream: another, other conditions")
     parser.add_argument(
         "--shard", type=shard, default=(0, 1), metavar="I/N",
         help="every Nth condition, the I-th first; --demos and --attempts are then those of the shard (default: all)",
@@ -142,11 +134,7 @@ def collect(parser: argparse.ArgumentParser) -> None:
 def check_generators(options: argparse.Namespace) -> None:
     """Refuse what no generator would use."""
     given = [options.generator] if isinstance(options.generator, str) else options.generator
-    for name, users in (
-        ("policy", ("residual", "exploring")),
-        ("oracle_tries", ("oracle",)),
-        ("sigma", ("exploring",)),
-    ):
+    for name, users in USED_BY.items():
         value = getattr(options, name, None)
         if value is not None and not set(users) & set(given):
             flag = f"--{name.replace('_', '-')} {value}"

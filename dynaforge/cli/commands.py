@@ -54,8 +54,10 @@ class Command:
         options: argparse.Namespace = parser.parse_args(arguments)
         if "task" in options:
             chosen_tasks(options)
+        if "folder" in options:
+            dataset_arguments.open_dataset(options)
         if self.out is not None and options.out is None:
-            options.out = parser.parse_args([*arguments, f"--out={self.out(options)}"]).out
+            options.out = parser.parse_args([f"--out={self.out(options)}", *arguments]).out
         self.check(options)
         return options
 

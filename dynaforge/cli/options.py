@@ -6,7 +6,6 @@ The message of a type goes on from the option's name, as in "--workers is 0; it 
 from __future__ import annotations
 
 import argparse
-import difflib
 import math
 import os
 import re
@@ -16,13 +15,13 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from dynaforge.envs.processes import usable_cores
+from dynaforge.sim.checks import close_match, shown
 
 Refused = argparse.ArgumentTypeError
 
 MOST = 10**9  # of anything that is counted; more is a slip of the finger
 MOST_WORKERS = 1000
 NAME = r"[A-Za-z0-9][A-Za-z0-9_.-]*"  # of what becomes part of a file's name
-SEEDS = 2**32  # what numpy, torch and Gymnasium all take
 
 
 class Whole:
@@ -42,6 +41,10 @@ class Whole:
         if value > self.maximum:
             raise Refused(f"is {shorter(text)}; it must be at most {self.maximum}.")
         return value
+
+
+SEED = Whole(0, 2**32 - 1)
+"""What numpy, torch and Gymnasium all take."""
 
 
 class Number:
@@ -73,8 +76,7 @@ class Choice:
     def __call__(self, text: str) -> str:
         """Read it."""
         if text not in self.names:
-            close = difflib.get_close_matches(text, self.names, n=1)
-            hint = f" Did you mean {close[0]!r}?" if close else ""
+            hint = close_match(text, self.names)
             raise Refused(f": No {self.what} {shown(text)}.{hint} Known are {', '.join(self.names)}.")
         return text
 
@@ -221,11 +223,8 @@ class Parser(argparse.ArgumentParser):
             raise ValueError(f"{error.argument_name or ''}{joint}{error.message}".strip()) from None
         if unknown:
             given = unknown[0].partition("=")[0]
-            close = difflib.get_close_matches(given, self._option_string_actions, n=1)
-            hint = f"Did you mean {close[0]!r}?" if close else f"`{self.prog} --help` lists them."
-            raise ValueError(
-                f"No option {shown(given)}. {hint}" if given[:1] == "-" else f"What is {shown(given)} for?"
-            )
+            hint = close_match(given, self._option_string_actions) or f" `{self.prog} --help` lists them."
+            raise ValueError(f"No option {shown(given)}.{hint}" if given[:1] == "-" else f"What is {shown(given)} for?")
         return options
 
     def error(self, message: str) -> NoReturn:
@@ -243,11 +242,6 @@ class _Help(argparse.RawDescriptionHelpFormatter):
             return text
         listed = default if isinstance(default, list | tuple) else [default]
         return f"{text} (default: {' '.join(map(str, listed)).replace('%', '%%')})"
-
-
-def shown(text: str) -> str:
-    """Return text as a message may quote it: in one line, and not too long."""
-    return shorter(repr(text))
 
 
 def shown_path(text: str) -> str:

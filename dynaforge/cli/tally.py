@@ -22,7 +22,7 @@ class Tally:
         # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
         self._bar: tqdm[Any] = tqdm(
             total=goal.demos or goal.attempts, unit="demo" if self._by_wins else "attempt", leave=leave,
-            smoothing=0.05, miniters=0,
+            smoothing=0.05, miniters=0, mininterval=0.5,
         )  # fmt: skip
 
     def __enter__(self) -> Tally:

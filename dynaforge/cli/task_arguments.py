@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.options import Refused, shown
+from dynaforge.cli.options import Refused
+from dynaforge.sim.checks import shown
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 LONGEST = 1000  # characters of a task file's path

@@ -113,6 +113,8 @@ def test_options_that_contradict_each_other_are_refused(place: Path, capsys: pyt
         ("render demonstrations --workspace 0 0 0 1 0 1", "--workspace"), ("list can", "can"),
         ("render demonstrations --cameras front front", "--cameras"), ("collect --demoz 3", "--demos"),
         ("forge --budget 3s", "--budget"), ("compare --vary 1x 2", "--vary"), ("compare --vary gamma 1 1", "--vary"),
+        ("verify demonstrations --task-file bottle", "--task-file"), ("list --all", "--all"),
+        ("collect --task peach --out demonstrations", "--out"), ("evaluate --out .", "--out"),
         ("export demonstrations", "--format"), ("info", "folder"), ("--version of", "--version"), ("colect", "collect"),
     ):  # fmt: skip
         before = sorted(place.rglob("*"))

@@ -51,6 +51,9 @@ def test_a_setting_may_be_varied(tmp_path: Path) -> None:
         (["--train-seeds", "0"], "--train-seeds is 0; it must be at least 1"),
         (["--algos", "grpo", "--vary", "learning_rat", "1"], "unexpected keyword argument 'learning_rat'"),
         (["--algos", "grpo", "--vary", "group_size", "1"], "group_size is 1, but must be at least 2"),
+        (["--algos", "ppo", "--vary", "learning_rate", "fast"], "--vary: ppo with {'learning_rate': 'fast'}"),
+        (["--algos", "ppo", "--vary", "learning_rate", "NaN"], "--vary: 'NaN' is no finite number"),
+        (["--algos", "ppo", "--report-only"], "--report-only finds nothing finished"),
         (["--vary", "group_size"], "--vary group_size names no values"),
     ],
 )

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import collect as command
+from dynaforge.cli import evaluate
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.generators import GaveUp, Goal, PlannerOnly, Result, Source, collect
@@ -99,6 +100,18 @@ def test_the_command_ends_with_1_and_says_what_it_did_not_get(
     assert "No success in 12 attempts in a row" in said.splitlines()[-1]
     assert "--give-up-after N" in said.splitlines()[-1]
     assert main([*asked, "--attempts", "14"]) == 0, "failures may be what is asked for"
+
+
+def test_evaluate_measures_no_rate_of_a_generator_that_only_raises(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = ["evaluate", "--seeds", "2", "--attempts", "3", "--out", str(tmp_path / "rate.json")]
+    monkeypatch.setattr(evaluate, "run_attempts", engine(lambda k: False, raising=True))
+    assert main(asked) == 1
+    assert "None of 6 attempts by 'planner_only' left an episode" in capsys.readouterr().err.splitlines()[-1]
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(evaluate, "run_attempts", engine(lambda k: False))
+    assert main(asked) == 0
 
 
 @pytest.mark.parametrize("n", [4, 500])
