@@ -18,7 +18,10 @@ def open_dataset(options: argparse.Namespace) -> tuple[DemonstrationDataset, Tas
         ValueError: The task is one of the user's own and was not given, or another one was given.
     """
     dataset = DemonstrationDataset(options.folder)
-    return dataset, task_of(dataset, options.task_file)
+    try:
+        return dataset, task_of(dataset, options.task_file)
+    except ValueError as error:
+        raise ValueError(f"--task-file: {error}" if options.task_file else str(error)) from error
 
 
 def on_dataset(parser: argparse.ArgumentParser) -> None:
