@@ -22,6 +22,7 @@ import yaml
 
 from dynaforge.algos import settings
 from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
+from dynaforge.envs.processes import worker_environment
 from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.tasks import what_was_meant
 
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             config = config_file(asked.algo, asked.env) if asked.conf_file is None else None
     flags += ["--conf-file", str(config)] if config else []
     own_vec_env = asked.env.startswith("DynaForge/") and asked.vec_env is None
-    with _zoo_process(script, flags, own_vec_env=own_vec_env, own_config=config is not None):
+    with worker_environment(), _zoo_process(script, flags, own_vec_env=own_vec_env, own_config=config is not None):
         _run(script)
     return 0
 

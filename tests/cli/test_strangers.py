@@ -6,6 +6,7 @@ import ast
 import base64
 import json
 import pickle
+import subprocess
 import sys
 import warnings
 import zipfile
@@ -108,6 +109,19 @@ def test_rl_zoo3_loads_nothing_of_a_log_folder_unasked(
         zoo.main([script, "--algo", "ppo", "--env", "DynaForge/Can-v0", "-f", str(tmp_path / "logs"), *more])
     with pytest.raises(SystemExit, match="--trusted"):  # the statistics, which lie where it was started
         zoo.main(["train", "--algo", "ppo", "--env", "can", "-f", str(tmp_path / "logs")])
+    assert not canary.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_workers_of_rl_zoo3_import_nothing_of_the_current_folder(tmp_path: Path, canary: Path) -> None:
+    for name in ("multiprocessing", "json", "numpy", "custom_envs"):
+        (tmp_path / f"{name}.py").write_text(Trap(canary).text)
+    which = ["train", "--algo", "ppo", "--env", "can", "-f", "logs", "--vec-env", "subproc", "--eval-freq", "-1"]
+    small = ["-n", "8", "--device", "cpu", "-params", "n_envs:2", "n_steps:4", "batch_size:8"]
+    command = [sys.executable, "-P", "-m", "dynaforge", *which, *small]  # as the installed command: -P
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
     assert not canary.exists()
 
 
