@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,8 @@ from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.ledger import Ledger
 from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.task_env import TaskEnv
+from dynaforge.envs.world import World
 from dynaforge.generators import Exploring, Goal, PlannerOnly, ResidualGenerator, Source, collect
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.generators.oracle import Oracle
@@ -34,6 +35,7 @@ from dynaforge.sim import (
 from dynaforge.sim.camera import Camera
 from dynaforge.sim.robot import RobotDescription
 from dynaforge.tasks import ConditionSpace, Phase, ResidualSpec, Task, get_task
+from dynaforge.tasks.action import ActionLayout
 
 CAN, CLOCK = get_task("can"), get_task("alarmclock")
 CONDITION = CAN.conditions.draw(np.random.default_rng(0))
@@ -72,6 +74,7 @@ CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Phase": (Phase, of(CAN.phases[1])),
     "ResidualSpec": (ResidualSpec, of(CAN.residual)),
     "Task": (Task, of(CAN)),
+    "ActionLayout": (ActionLayout, of(ActionLayout())),
     "Episode": (Episode, of(_episode())),
     "Attempt": (Attempt, of(Attempt.of(_episode()))),
     "Provenance": (Provenance, of(Provenance("", ""))),
@@ -118,11 +121,24 @@ def test_a_malformed_value_is_taken_or_refused_by_name(name: str, tmp_path: Path
     assert refused > len(MALFORMED) // 3
 
 
-@pytest.mark.parametrize("value", MALFORMED.values(), ids=MALFORMED)
-def test_no_task_and_no_scene_is_made_of_it(value: Any) -> None:
-    for make in (ResidualEnv, SimScene, partial(SimScene, CAN.scene, robot=0, visuals=value), get_task):
-        with pytest.raises(ValueError, match=r"(task|spec|robot) "):
-            make() if isinstance(make, partial) else make(value)
+MAKERS: list[tuple[str, Callable[[Any], Any]]] = [
+    ("task", ResidualEnv),
+    ("task", TaskEnv),
+    ("task", World),
+    ("task", get_task),
+    ("spec", SimScene),
+    ("robot", lambda given: SimScene(CAN.scene, robot=given)),
+    ("gate_mode", lambda given: ResidualEnv(gate_mode=given)),
+    ("render_mode", lambda given: TaskEnv(render_mode=given)),
+    ("action_mode", lambda given: TaskEnv(action_mode=given)),
+]
+
+
+@pytest.mark.parametrize("kind", sorted(set(MALFORMED) - {"None"}))
+def test_no_env_and_no_scene_is_made_of_it(kind: str) -> None:
+    for name, make in MAKERS:
+        with pytest.raises(ValueError, match=f"{name} "):
+            make(MALFORMED[kind])
 
 
 def test_collecting_with_something_else_is_refused_before_it_starts(tmp_path: Path) -> None:

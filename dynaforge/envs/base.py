@@ -13,6 +13,7 @@ from dynaforge.envs.rendering import Renderer
 from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import shown
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
 
@@ -105,5 +106,5 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
 def check_choice(name: str, value: str | None, known: tuple[str | None, ...]) -> None:
     """Raise ValueError unless `value` is one of `known`."""
-    if value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
+    if not isinstance(value, (str, type(None))) or value not in known:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {shown(value)}.")

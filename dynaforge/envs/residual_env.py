@@ -13,6 +13,7 @@ from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.observation import LIMIT, ObservationBuilder
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_number
 from dynaforge.tasks import Task
 
 Observation = NDArray[np.float32]
@@ -59,6 +60,7 @@ class ResidualEnv(WorldEnv):
         residual_frame: str | None = None,
     ) -> None:
         check_choice("gate_mode", gate_mode, GATE_MODES)
+        check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, "target", "world"))
         super().__init__(task, render_mode)
         self.residual_frame = residual_frame or self.task.residual.frame

@@ -18,6 +18,7 @@ from dynaforge.planning import (
     TargetFollower,
 )
 from dynaforge.sim import Condition, SceneState, SimScene
+from dynaforge.sim.checks import check_kind
 from dynaforge.tasks import Task
 
 LOWEST_EE = 0.012  # metres above the table: the finger tips are 7 mm below the end-effector frame
@@ -54,6 +55,7 @@ class World:
     """
 
     def __init__(self, task: Task, *, visuals: bool = False, gui: bool = False) -> None:
+        check_kind("task", task, Task)
         self.task = task
         self.scene = SimScene(task.scene, visuals=visuals, gui=gui)
         robot, dt = self.scene.robot, task.scene.control_dt

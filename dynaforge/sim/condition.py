@@ -69,7 +69,7 @@ class Condition:
         if missing := known - set(data):
             raise ValueError(f"Condition lacks {sorted(missing)}; it needs {sorted(known)}.")
         if unknown := set(data) - known:
-            raise ValueError(f"Condition has unknown fields {sorted(unknown)}; known are {sorted(known)}.")
+            raise ValueError(f"Condition has unknown fields {sorted(unknown, key=str)}; known are {sorted(known)}.")
         return Condition(**data)
 
     @property

@@ -55,7 +55,7 @@ class SimScene:
         check_kind("spec", spec, SceneSpec)
         check_kind("robot", robot, (RobotDescription, type(None)))
         check_flag("gui", gui)
-        if visuals != "plain":
+        if not isinstance(visuals, str) or visuals != "plain":
             check_flag('visuals, unless it is "plain",', visuals)
         self.spec = spec
         self.robot = robot or franka()

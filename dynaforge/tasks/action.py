@@ -22,6 +22,7 @@ from dynaforge.geometry import (
     rotation_6d_from_matrix,
     rotvec_from_matrix,
 )
+from dynaforge.sim.checks import check_flag, shown
 from dynaforge.sim.robot import ELBOW
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
@@ -62,8 +63,9 @@ class ActionLayout:
             ("action_mode", self.mode, ACTION_MODES),
             ("rotation", self.rotation, tuple(ROTATIONS)),
         ):
-            if value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
+            if not isinstance(value, str) or value not in known:
+                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {shown(value)}.")
+        check_flag("elbow", self.elbow)
         if self.elbow and self.mode == "joint":
             raise ValueError("Joint positions settle the elbow: elbow=True goes with action_mode 'ee' only.")
 

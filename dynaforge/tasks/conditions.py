@@ -19,6 +19,7 @@ from dynaforge.sim.checks import (
     check_number,
     check_numbers,
     check_task_name,
+    check_text,
     check_whole,
     is_whole,
     shown,
@@ -59,8 +60,10 @@ class ConditionSpace:
         if not self.ranges:
             raise ValueError("ConditionSpace: ranges is empty; at least the difficulty has one.")
         check_choice("ConditionSpace: difficulty", self.difficulty, self.ranges)
-        if unknown := sorted(set(self.units) - set(self.ranges)):
+        if unknown := sorted(set(self.units) - set(self.ranges), key=str):
             raise ValueError(f"Units are given for {unknown}, which are no fields; there are {sorted(self.ranges)}.")
+        for name, unit in self.units.items():
+            check_text(f"ConditionSpace: the unit of {name!r} in units", unit)
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
         object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
 
