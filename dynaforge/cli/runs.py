@@ -117,7 +117,7 @@ class RunSpec:
         try:
             about = json.loads(stored.read_text())
             held = about["run"] | {"settings": about["settings"]}
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(
                 f"{stored} does not describe a run ({error!r}). Choose another --out, or remove it."
             ) from None

@@ -76,7 +76,7 @@ class StoredRun:
                 failures=tuple(outcome for outcome in outcomes if outcome != "success"),
                 exam=exam["exam"],
             )
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+        except (json.JSONDecodeError, UnicodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{folder} holds no readable run: {type(error).__name__}: {error}.") from error
 
     @property

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -91,6 +93,20 @@ class TrainingHistory:
         try:
             data = json.loads(path.read_text())
             probes = [Probe(**probe) for probe in data.pop("probes")]
-            return TrainingHistory(**data, probes=probes)
-        except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+            history = TrainingHistory(**data, probes=probes)
+            for f in fields(history):
+                _check_numbers(f.name, getattr(history, f.name))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{path} is no training history: {error}.") from error
+        return history
+
+
+def _check_numbers(name: str, rows: Any) -> None:
+    """Refuse what is no list of finite numbers, of lists of them, or of probes made of them."""
+    if not isinstance(rows, list):
+        raise ValueError(f"{name} is no list")
+    for row in rows:
+        parts = [row.update, row.timesteps, *row.success] if isinstance(row, Probe) else row
+        for number in parts if isinstance(parts, list) else [parts]:
+            if not isinstance(number, (int, float)) or not math.isfinite(number):
+                raise ValueError(f"{name} holds {number!r:.40}, no finite number")

@@ -93,4 +93,5 @@ def _register(task: Task, path: Path) -> None:
 
 
 def _listed_files() -> list[str]:
-    return [str(Path(path).resolve()) for path in os.environ.get(VARIABLE, "").split(os.pathsep) if path]
+    listed = os.environ.get(VARIABLE, "").split(os.pathsep)
+    return [str(Path(path).expanduser().resolve()) for path in listed if path]
