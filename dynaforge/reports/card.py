@@ -40,7 +40,7 @@ class Exported:
     @staticmethod
     def of(episode: Episode) -> Exported:
         """Note an episode."""
-        made_by = f"{episode.generator} {episode.meta.get('policy_hash', '')}".strip()
+        made_by = " ".join(f"{episode.generator} {episode.meta.get('policy_hash', '')}".split())
         return Exported(episode.id, len(episode), made_by, json.dumps(episode.meta.get("versions", {}), sort_keys=True))
 
 

@@ -16,7 +16,7 @@ from dynaforge.tasks import Task
 from dynaforge.tasks.action import JOINTS
 
 FOLDER = "demos.zarr"
-ROWS = 100  # control steps a chunk
+ROWS, BYTES = 100, 2**21  # control steps a chunk, unless it would be larger than so many bytes
 NEEDED = "Format dp3-zarr needs point clouds: dynaforge render FOLDER --points 1024."
 
 
@@ -31,8 +31,9 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
     for episode in episodes:
         for name, row in _arrays(episode):
             if name not in data:
+                rows = max(1, min(ROWS, BYTES // row[0].nbytes))
                 data.create_array(
-                    name, shape=(0, *row.shape[1:]), chunks=(ROWS, *row.shape[1:]), dtype=row.dtype,
+                    name, shape=(0, *row.shape[1:]), chunks=(rows, *row.shape[1:]), dtype=row.dtype,
                     compressors=numcodecs.Blosc(cname="zstd", clevel=3, shuffle=numcodecs.Blosc.SHUFFLE),
                 )  # fmt: skip
             data[name].append(row)
