@@ -51,9 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         return _tell(name, error, status=2)
     except RuntimeError as error:
-        from dynaforge.generators import GaveUp  # imported already, if it is one
+        from dynaforge.envs.vector_errors import WorkerDied
+        from dynaforge.generators import GaveUp, NoWorkers  # imported already, if it is one of them
 
-        if not isinstance(error, GaveUp):
+        if not isinstance(error, (GaveUp, NoWorkers, WorkerDied)):
             raise
         return _tell(name, error, status=1)
 

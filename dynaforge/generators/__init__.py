@@ -1,6 +1,6 @@
 """What makes episodes: the planner, the residual policy, the oracle; run on all cores."""
 
-from dynaforge.generators.attempts import Result, attempt_once, run_attempts
+from dynaforge.generators.attempts import NoWorkers, Result, attempt_once, run_attempts
 from dynaforge.generators.collect import Goal, Source, collect
 from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.giving_up import GaveUp
@@ -12,6 +12,7 @@ __all__ = [
     "GaveUp",
     "Generator",
     "Goal",
+    "NoWorkers",
     "Oracle",
     "PlannerOnly",
     "ResidualGenerator",

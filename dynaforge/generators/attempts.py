@@ -19,6 +19,10 @@ from dynaforge.tasks import Task
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
 
 
+class NoWorkers(RuntimeError):  # noqa: N818  the name says what happened
+    """Whatever would run attempts does not even start."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """One attempt and, if it left one, its recording."""
@@ -51,7 +55,7 @@ def run_attempts(
         workers: Processes; by default as many as the cores that this process may use.
 
     Raises:
-        RuntimeError: Workers cannot even start.
+        NoWorkers: Workers cannot even start.
     """
     source = iter(conditions)
     crew = _Crew(task, generator, workers or usable_cores())
@@ -109,7 +113,7 @@ class _Crew:
             try:
                 pool.submit(_ready).result(timeout=TIMEOUT)
             except BrokenProcessPool as error:
-                raise RuntimeError(f"Worker processes die as they start.{guard_hint()}") from error
+                raise NoWorkers(f"Worker processes die as they start.{guard_hint()}") from error
             return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
         except (BrokenProcessPool, TimeoutError) as error:
             return self._lost(condition, type(error).__name__)

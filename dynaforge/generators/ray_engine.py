@@ -11,7 +11,7 @@ from typing import Any
 
 from dynaforge.envs.processes import SINGLE_THREAD
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators.attempts import TIMEOUT, Result, attempt_once, lost
+from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_once, lost
 from dynaforge.generators.generator import Generator
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -53,7 +53,7 @@ def run_attempts_on_ray(
     Raises:
         ImportError: Ray, of the `[ray]` extra, is missing.
         ConnectionError: No cluster is running.
-        RuntimeError: No actor comes up.
+        NoWorkers: No actor comes up.
     """
     ray = connected()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -189,7 +189,7 @@ class _Crew:
             if not wait:
                 return None
             if time.monotonic() > deadline:
-                raise RuntimeError(
+                raise NoWorkers(
                     f"No Ray actor came up within {PATIENCE:g} s ({problem or 'all wait for a core'}). What is "
                     "recorded stays. See `ray status` for free cores, and that dynaforge is installed on every node."
                 )

@@ -13,7 +13,7 @@ from dynaforge.cli import collect as command
 from dynaforge.cli import evaluate
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.generators import GaveUp, Goal, PlannerOnly, Result, Source, collect
+from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
 from dynaforge.generators.giving_up import unless_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
@@ -112,6 +112,17 @@ def test_evaluate_measures_no_rate_of_a_generator_that_only_raises(
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr(evaluate, "run_attempts", engine(lambda k: False))
     assert main(asked) == 0
+
+
+def test_workers_that_do_not_even_start_are_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_engine(*_: object, **__: object) -> Iterator[Result]:
+        raise NoWorkers("Worker processes die as they start.")
+
+    monkeypatch.setattr(command, "run_attempts", no_engine)
+    assert main(["collect", "--generator", "planner_only", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "dynaforge collect: Worker processes die as they start."
 
 
 @pytest.mark.parametrize("n", [4, 500])
