@@ -26,7 +26,7 @@ cloudpickle.register_pickle_by_value(sys.modules[__name__])
 class RandomWalk(gym.Env):
     """Episodes of random length and end; `options` may carry a condition, a fixed length, or a misfortune."""
 
-    metadata = {"render_modes": ["rgb_array"]}
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 12}
     misfortune = ""
 
     def __init__(self, colour=0, render_mode="rgb_array"):
@@ -203,6 +203,7 @@ def test_attributes_methods_wrappers_and_images_reach_the_env_named(make):
         env.get_attr("weight")
     assert [int(image[0, 0, 0]) for image in env.get_images()] == [0, 1, 2, 3, 4]
     assert env.render().shape == (12, 8, 3)
+    assert env.metadata["render_fps"] == 12
 
 
 def test_workers_run_without_torch_and_single_threaded(make):
@@ -413,8 +414,9 @@ def test_dropping_the_env_ends_its_workers(make):
 def test_using_a_closed_env_says_so(make):
     env = make(1)
     env.close()
-    with pytest.raises(RuntimeError, match="closed"):
-        env.reset()
+    for call in (env.reset, env.render, lambda: env.step(np.zeros((1, 2)))):
+        with pytest.raises(RuntimeError, match="closed"):
+            call()
 
 
 def test_killing_the_parent_leaves_no_worker_even_when_an_env_hangs(tmp_path):
