@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import codecs
 import io
+import os
 import sys
 
 from dynaforge.cli.sparkline import BARS
+from dynaforge.envs.processes import fill_standard_descriptors
 
 PLAIN = {
     **dict(zip(BARS, "_.:-=+*#", strict=True)),  # a sparkline still rises
@@ -20,7 +22,10 @@ HANDLER = "dynaforge.plain"
 
 
 def show_anything() -> None:
-    """Let stdout and stderr of this process take any text."""
+    """Let stdout and stderr of this process take any text, closed as they may be."""
+    fill_standard_descriptors()
+    sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
     codecs.register_error(HANDLER, _in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

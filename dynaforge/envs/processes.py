@@ -78,6 +78,7 @@ def worker_context() -> Any:
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise SystemExit(1)
+    fill_standard_descriptors()
     main = sys.modules["__main__"]
     if getattr(main, "__file__", None) == "<stdin>":  # Python's name for `python -`; workers would look for that file
         del main.__file__
@@ -88,6 +89,18 @@ def worker_context() -> Any:
         with worker_environment():
             forkserver.ensure_running()
     return context
+
+
+def fill_standard_descriptors() -> None:
+    """Open the null device where stdin, stdout or stderr is closed, as services and daemons are started.
+
+    Otherwise the next files and pipes take these numbers, and what is printed from C, in a worker too, lands in them.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one
 
 
 def guard_hint() -> str:

@@ -174,3 +174,18 @@ def descendants(pid: int) -> list[int]:
     except OSError:
         return []
     return [*children, *(below for child in children for below in descendants(child))]
+
+
+def test_closed_standard_descriptors_are_no_place_for_pipes(tmp_path: Path) -> None:
+    code = """
+import os, sys
+from dynaforge.cli.terminal import show_anything
+show_anything()
+print("to nobody", file=sys.stderr)
+open(sys.argv[1], "w").write(f"{os.pipe()} {[os.get_inheritable(k) for k in range(3)]}")
+"""
+    mark = tmp_path / "mark"
+    shell = ["sh", "-c", '"$0" -c "$1" "$2" <&- >&- 2>&-', sys.executable, code, str(mark)]
+    subprocess.run(shell, check=True, timeout=60)
+    assert mark.read_text().endswith(" [True, True, True]")
+    assert not {"(0", "(1", "(2"} & {mark.read_text().partition(",")[0]}
