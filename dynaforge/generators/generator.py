@@ -54,7 +54,7 @@ class ResidualGenerator:
     """
 
     def __init__(self, policy: ResidualPolicy, *, policy_hash: str = "", name: str = "residual") -> None:
-        check_callable("policy", policy)
+        check_callable("policy", policy, such_as="a function of an observation")
         check_kind("policy_hash", policy_hash, str)
         check_generator_name(name)
         self.policy = policy
@@ -139,7 +139,7 @@ class Exploring:
     """
 
     def __init__(self, policy: ResidualPolicy, sigma: float) -> None:
-        check_callable("policy", policy)
+        check_callable("policy", policy, such_as="a function of an observation")
         check_number("sigma", sigma, least=0.0)
         self.policy = policy
         self.sigma = sigma

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from dynaforge.geometry import Array, Pose
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_IN_WORDS = {"str": "text", "Mapping": "mapping"}
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]")  # breaks of lines among them
 _RESERVED = ("all",)  # as a task's name on the command line
 _SPELLING = reprlib.Repr()
@@ -34,8 +35,9 @@ def shown(value: Any) -> str:
 
 def close_match(name: Any, known: Iterable[str]) -> str:
     """Return a sentence that names what was probably meant, or nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1) if isinstance(name, str) else []
-    return f" Did you mean {close[0]!r}?" if close else ""
+    spelled = {other.lower(): other for other in known}
+    close = difflib.get_close_matches(name.lower(), spelled, n=1) if isinstance(name, str) else []
+    return f" Did you mean {spelled[close[0]]!r}?" if close else ""
 
 
 def check_number(
@@ -108,7 +110,8 @@ def check_kind(what: str, value: Any, kind: type | tuple[type, ...]) -> None:
     """Raise ValueError unless the value is an instance of a class, or of one of several."""
     kinds = kind if isinstance(kind, tuple) else (kind,)
     if not isinstance(value, kinds):
-        raise ValueError(f"{what} is {shown(value)}; it must be a {' or a '.join(k.__name__ for k in kinds)}.")
+        names = ["None" if k is type(None) else f"a {_IN_WORDS.get(k.__name__, k.__name__)}" for k in kinds]
+        raise ValueError(f"{what} is {shown(value)}; it must be {' or '.join(names)}.")
 
 
 def check_tuple(what: str, value: Any, kind: type) -> tuple[Any, ...]:
@@ -121,12 +124,12 @@ def check_tuple(what: str, value: Any, kind: type) -> tuple[Any, ...]:
     return tuple(value)
 
 
-def check_callable(what: str, value: Any) -> None:
+def check_callable(what: str, value: Any, *, such_as: str) -> None:
     """Raise ValueError unless the value can be called, and is no class that somebody forgot to call."""
     if isinstance(value, type):
         raise ValueError(f"{what} is the class {value.__name__}; give an instance of it, {value.__name__}(...).")
     if not callable(value):
-        raise ValueError(f"{what} is {shown(value)}; it must be something that can be called.")
+        raise ValueError(f"{what} is {shown(value)}; it must be {such_as}.")
 
 
 def check_pose(what: str, value: Any) -> None:

@@ -81,13 +81,14 @@ class FixtureSpec:
         if not self.urdfs:
             raise ValueError(f"{what} has no URDF.")
         held = [self.spring.joint] if self.spring else []
-        if len({*self.driven, *held}) < len(self.driven) + len(held):
-            raise ValueError(f"{what}: of driven {self.driven} and the spring's joint {held}, one is named twice.")
+        moved = [*self.driven, *held]
+        if twice := [joint for joint in moved if moved.count(joint) > 1]:
+            raise ValueError(f"{what}: the joint {twice[0]!r} is named twice among driven and the spring's.")
         for urdf in self.urdfs:
             links, joints = _read(what, urdf)
             if self.link not in links:
                 raise ValueError(f"{what}: {urdf} has no link {shown(self.link)}; it has {sorted(links)}.")
-            for joint in (*self.driven, *held):
+            for joint in moved:
                 if joint not in joints:
                     raise ValueError(f"{what}: {urdf} has no joint {joint!r}; it has {sorted(joints)}.")
                 if joints[joint] == "fixed":
@@ -163,7 +164,7 @@ class SceneSpec:
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", check_tuple("SceneSpec: bodies", self.bodies, BodySpec))
         object.__setattr__(self, "fixtures", check_tuple("SceneSpec: fixtures", self.fixtures, FixtureSpec))
-        check_callable("SceneSpec: launch", self.launch)
+        check_callable("SceneSpec: launch", self.launch, such_as="a function of a condition")
         if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
             raise ValueError(
                 f"SceneSpec: several things are called {twice[0]!r}; every body and fixture has its own name."

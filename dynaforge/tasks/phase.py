@@ -8,7 +8,7 @@ from typing import Any
 
 from dynaforge.sim.checks import check_callable, check_choice, check_flag, check_number, check_text, shown
 from dynaforge.sim.robot import HAND_WIDTH
-from dynaforge.tasks.predicates import Predicate
+from dynaforge.tasks.predicates import SUCH_AS, Predicate
 from dynaforge.tasks.targets import Target
 
 Ending = tuple[str, Predicate]
@@ -60,22 +60,22 @@ class Phase:
         what = f"Phase {self.name!r}"
         check_choice(f"{what}: mode", self.mode, tuple(Mode))
         object.__setattr__(self, "mode", Mode(self.mode))
-        check_callable(f"{what}: target", self.target)
-        check_callable(f"{what}: done", self.done)
+        check_callable(f"{what}: target", self.target, such_as='a target, such as Above("can", 0.1)')
+        check_callable(f"{what}: done", self.done, such_as=SUCH_AS)
         check_number(f"{what}: width", self.width, least=0.0, most=HAND_WIDTH)
         check_number(f"{what}: timeout", self.timeout, above=0.0)
         check_number(f"{what}: hold", self.hold, least=0.0)
         check_text(f"{what}: failure", self.failure)
         for name in ("gate", "takes_hold"):
             check_flag(f"{what}: {name}", getattr(self, name))
-        check_number(f"{what}: residual_share", self.residual_share, above=0.0)
+        check_number(f"{what}: residual_share", self.residual_share, above=0.0, most=1.0)
         object.__setattr__(self, "fails", endings_of(f"{what}: fails", self.fails))
         if self.hold >= self.timeout:
             raise ValueError(
                 f"{what}: hold {self.hold:g} s is not below its timeout {self.timeout:g} s, so it can never be done."
             )
         if self.track_until is not None:
-            check_callable(f"{what}: track_until", self.track_until)
+            check_callable(f"{what}: track_until", self.track_until, such_as=SUCH_AS)
         for name, given in (("gate", self.gate), ("track_until", self.track_until)):
             if given and self.mode is Mode.GLOBAL:
                 raise ValueError(
@@ -94,5 +94,5 @@ def endings_of(what: str, given: Any) -> tuple[Ending, ...]:
         raise ValueError(f'{what} is {shown(given)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
     for reason, predicate in given:
         check_text(f"{what}: a reason", reason)
-        check_callable(f"{what}: the predicate of {reason!r}", predicate)
+        check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=SUCH_AS)
     return tuple(given)

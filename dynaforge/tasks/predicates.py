@@ -13,6 +13,8 @@ from dynaforge.sim.checks import check_callable, shown
 from dynaforge.tasks.view import PhaseView
 from dynaforge.tasks.words import ObjectName, Size
 
+SUCH_AS = 'a predicate, such as Grasped("can")'
+
 
 class Predicate(Protocol):
     """Reads a view and the phase's current target `T_world_ee`."""
@@ -29,12 +31,13 @@ class All:
     parts: tuple[Predicate, ...]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.parts, tuple) or not self.parts:
+        if not isinstance(self.parts, (tuple, list)) or not self.parts:
             raise ValueError(
                 f"All: parts is {shown(self.parts)}; it must be a tuple of predicates: All((Reached(0.03),))."
             )
         for part in self.parts:
-            check_callable("All: a part", part)
+            check_callable("All: one of parts", part, such_as=SUCH_AS)
+        object.__setattr__(self, "parts", tuple(self.parts))
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return all(part(view, target) for part in self.parts)
@@ -47,7 +50,7 @@ class Not:
     part: Predicate
 
     def __post_init__(self) -> None:
-        check_callable("Not: part", self.part)
+        check_callable("Not: part", self.part, such_as=SUCH_AS)
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return not self.part(view, target)

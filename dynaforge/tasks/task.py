@@ -124,12 +124,11 @@ class Task:
             )
         for name in ("skill", "motion", "randomisation", "goal", "instruction"):
             check_text(f"{what}: {name}", getattr(self, name))
-        check_tuple(f"{what}: camera", self.camera, tuple)
-        if len(self.camera) != 2:
+        if not isinstance(self.camera, tuple) or len(self.camera) != 2:
             raise ValueError(f"{what}: camera is {shown(self.camera)}; it must be (eye, look-at), three numbers each.")
         for name, point in zip(("eye", "look-at"), self.camera, strict=True):
             check_numbers(f"{what}: camera, {name}", point, 3)
-        if self.camera[0][:2] == self.camera[1][:2]:
+        if tuple(self.camera[0][:2]) == tuple(self.camera[1][:2]):
             raise ValueError(f"{what}: the camera looks straight up or down, or at itself; move its eye aside.")
         if self.conditions.task != self.name:
             raise ValueError(f"{what}: its conditions are those of task {self.conditions.task!r}; give both one name.")

@@ -96,10 +96,11 @@ def check_word(place: str, role: str, word: object, names: tuple[str, ...]) -> N
             value = getattr(part, field.name)
             kind = field.type if isinstance(field.type, str) else field.type.__name__
             what = f"{place}: {role}, {type(part).__name__}: {field.name}"
-            if kind in ("float", "Size") and not is_number(value):
+            sized = kind.startswith("Size")  # or "Size | None"
+            if (kind in ("float", "Size") or (sized and value is not None)) and not is_number(value):
                 raise ValueError(f"{what} is {shown(value)}; it must be a number.")
-            if is_number(value) and (math.isnan(value) or (kind == "Size" and value < 0)):
-                raise ValueError(f"{what} is {shown(value)}; it must be a number{' of at least 0' * (value < 0)}.")
+            if is_number(value) and (math.isnan(value) or (sized and value < 0)):
+                raise ValueError(f"{what} is {shown(value)}; it must be a number{' of at least 0' * sized}.")
             if kind == "tuple[float, float, float]":
                 check_numbers(what, value, 3)
             if isinstance(field.default, Enum) and not isinstance(value, type(field.default)):

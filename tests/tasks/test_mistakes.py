@@ -122,7 +122,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "forgets a fixture": (lambda: launching(peach_without_bowl, PEACH), ("peach_without_bowl", "forgets 'bowl'")),
     "unknown": (lambda: launching(lambda condition: {"cann": started()}), ("launch", "starts 'cann'", SEEN)),
     "field": (lambda: launching(wrong_launch), ("wrong_launch", "KeyError", "Did you mean 'mass'?")),
-    "returns a list": (lambda: launching(lambda condition: [started()]), ("What launch (", "returns is [", "Mapping")),
+    "returns a list": (
+        lambda: launching(lambda condition: [started()]),
+        ("What launch (", "returns is [", "a mapping"),
+    ),
     "placed": (lambda: launching(lambda condition: {"can": Placement(Pose.identity())}), ("body 'can'", "Launch")),
     "launched": (
         lambda: launching(lambda condition: {**PEACH.scene.launch(condition), "bowl": started()}, PEACH),
@@ -175,6 +178,9 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "lone part": (lambda: All(Grasped("can")), ("All: parts is Grasped", "All((Reached(0.03),))")),
     "size": (lambda: track(done=Reached(-0.03)), ("Phase 'track': done, Reached: distance is -0.03", "at least 0")),
     "nan in a word": (lambda: track(done=Aligned("can", 0.01, height=NAN)), ("Aligned: height is nan",)),
+    "size or none": (lambda: track(done=Aligned("can", 0.01, -0.1)), ("Aligned: across is -0.1", "at least 0")),
+    "share beyond 1": (lambda: track(residual_share=3), ("Phase 'track': residual_share is 3", "at most 1")),
+    "upper-case mode": (lambda: track(mode="IK"), ("Phase 'track': mode is 'IK'", "Did you mean 'ik'?")),
     "grip": (lambda: track(target=Above("can", 0.1, "along")), ("'track': target, Above: grip is 'along'", "Grip")),
     # residual
     "scales": (lambda: residual(translation=(0, 0, 0), rotation=(0, 0, 0), width=0), ("all seven scales are 0",)),
