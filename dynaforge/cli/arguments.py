@@ -84,10 +84,20 @@ def evaluate(parser: argparse.ArgumentParser) -> None:
     """Add the options of `evaluate`."""
     add_task_argument(parser, "--task", several=True)
     parser.add_argument(
-        "--generator", nargs="+", type=Choice("generator", GENERATORS), action=Distinct, default=["planner_only"],
-        metavar="NAME", help=f"of {', '.join(GENERATORS)}",
+        "--generator", nargs="+", type=Choice("generator", GENERATORS), action=Distinct, metavar="NAME",
+        help=f"of {', '.join(GENERATORS)} (default planner_only, without --learner)",
     )  # fmt: skip
     parser.add_argument("--policy", type=Existing("file"), help=SHIPPED)
+    parser.add_argument(
+        "--learner", type=Text("module:function or file.py:function", r".+:[A-Za-z_][A-Za-z0-9_]*"),
+        metavar="MODULE:FUNCTION",
+        help="a policy learned from an export, as code that is run: FUNCTION(task) returns what maps an observation of "
+        "the export to a row of its actions; or FILE.py:FUNCTION",
+    )  # fmt: skip
+    parser.add_argument(
+        "--observations", type=Existing("folder", holding="settings.json", otherwise="holds no observations"),
+        help="folder of `dynaforge render` whose cameras the learner was trained with",
+    )  # fmt: skip
     _add_stream(parser, "val")
     parser.add_argument("--seeds", type=Whole(), default=3, help="blocks of conditions")
     parser.add_argument("--attempts", type=Whole(), default=100, help="conditions a block")
@@ -131,6 +141,17 @@ def collect(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def check_evaluate(options: argparse.Namespace) -> None:
+    """Settle what is measured, and refuse what nothing measured would use."""
+    if options.observations and not options.learner:
+        raise ValueError("--observations is for --learner; no generator looks at pictures.")
+    if options.generator is None:
+        options.generator = [] if options.learner else ["planner_only"]
+    check_generators(options)
+    if options.learner:
+        options.generator.append("learner")
+
+
 def check_generators(options: argparse.Namespace) -> None:
     """Refuse what no generator would use."""
     given = [options.generator] if isinstance(options.generator, str) else options.generator
@@ -138,7 +159,9 @@ def check_generators(options: argparse.Namespace) -> None:
         value = getattr(options, name, None)
         if value is not None and not set(users) & set(given):
             flag = f"--{name.replace('_', '-')} {value}"
-            raise ValueError(f"{flag} is for the generator {' or '.join(users)}; --generator is {' '.join(given)}.")
+            raise ValueError(
+                f"{flag} is for the generator {' or '.join(users)}; --generator is {' '.join(given) or 'not given'}."
+            )
 
 
 def check_collect(options: argparse.Namespace) -> None:

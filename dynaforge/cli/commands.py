@@ -78,9 +78,13 @@ COMMANDS = {
     ),
     "evaluate": Command(
         "demonstration generation rate of a generator on stored condition streams",
-        ("evaluate --task can --generator planner_only residual", "evaluate --task all --stream test --attempts 200"),
+        (
+            "evaluate --task can --generator planner_only residual",
+            "evaluate --task all --stream test --attempts 200",
+            "evaluate --task can --learner my_policy.py:load",
+        ),
         add=arguments.evaluate,
-        check=arguments.check_generators,
+        check=arguments.check_evaluate,
         out=lambda options: f"runs/evaluate/{'+'.join(options.generator)}-{options.stream}.json",
     ),
     "collect": Command(

@@ -132,6 +132,10 @@ def export(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--failures", action="store_true", help="failed recordings too (collect --keep-failures)")
     licence = Text("an SPDX identifier such as MIT or CC-BY-4.0", r"[A-Za-z0-9][A-Za-z0-9.+() -]*")
+    parser.add_argument(
+        "--replays", type=Whole(0), default=10, metavar="N",
+        help="successes whose actions are given to the task's env, to see them succeed again",
+    )  # fmt: skip
     parser.add_argument("--license", type=licence, default="MIT", help="SPDX identifier for the card")
     parser.add_argument("--out", type=Written("folder", new=True), help="new folder; by default FOLDER-FORMAT")
 

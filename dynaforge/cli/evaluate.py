@@ -76,6 +76,8 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
     """
     if name == "planner_only":
         return PlannerOnly()
+    if name == "learner":
+        return _learner(options)
     if name == "oracle":
         return Oracle(m=options.oracle_tries or 64)
     if name not in ("residual", "exploring"):
@@ -91,6 +93,14 @@ def make_generator(name: str, task: Task, options: argparse.Namespace) -> Genera
             Exploring(policy, 0.25 if options.sigma is None else options.sigma), policy_hash=policy.digest, name=name
         )
     return ResidualGenerator(policy, policy_hash=policy.digest)
+
+
+def _learner(options: argparse.Namespace) -> Generator:
+    from dynaforge.demos.observations import ObservationFolder
+    from dynaforge.generators.learner import LearnerGenerator
+
+    settings = ObservationFolder(options.observations).settings if options.observations else None
+    return LearnerGenerator(options.learner, settings=settings)
 
 
 def _shipped_policy(task: Task) -> Path:

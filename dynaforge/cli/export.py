@@ -8,16 +8,21 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter, read_frames
-from dynaforge.demos.exporters.frames import env_of
+from dynaforge.demos.exporters.frames import Floats, env_of
 from dynaforge.demos.observations import FOLDER, ObservationFolder
+from dynaforge.generators.bridge import ExportBridge, acts_again
 from dynaforge.reports.card import Exported, write_card
+from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+from dynaforge.tasks.action import ActionLayout
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,16 +47,21 @@ def run(options: argparse.Namespace) -> int:
     )
     kept: list[Exported] = []
     contents: dict[str, str] = {}
+    won: list[Played] = []
 
     def frames() -> Iterator[Frames]:
         for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
             kept.append(Exported.of(episode.episode))
             contents.update(_contents(task, episode))
+            if episode.success:
+                won.append(Played(episode.layout, episode.episode.condition, episode.actions))
             yield episode
             del episode  # or it lived on while the next is read
 
     with _whole(out) as folder:
         n = write(folder, task, frames())
+        if won and options.replays:
+            contents["played again"] = _play(task, won, options.replays)
         problem = write_card(
             folder, task, dataset, kept, layout=options.format, licence=options.license, contents=contents,
             command=options.command, observations=observations,
@@ -59,8 +69,30 @@ def run(options: argparse.Namespace) -> int:
     size = sum(path.stat().st_size for path in out.rglob("*") if path.is_file())
     if problem:
         print(f"no contact sheet: {problem}")
+    if "played again" in contents:
+        print(contents["played again"])
     print(f"{n} demonstrations, {sum(e.steps for e in kept)} steps, {size / 1e6:.1f} MB: {out}")
     return 0
+
+
+class Played(NamedTuple):
+    """Actions of a success, and the start that they belong to."""
+
+    layout: ActionLayout
+    condition: Condition
+    actions: Floats
+
+
+def _play(task: Task, won: list[Played], n: int) -> str:
+    """Give the actions of a sample of the successes to the env that the export names, and tell how many succeed."""
+    sample = [won[k] for k in np.unique(np.linspace(0, len(won) - 1, n).round().astype(int))]
+    bridge = ExportBridge(task, sample[0].layout)
+    try:
+        share = [acts_again(bridge, each.condition, each.actions) for each in tqdm(sample, leave=False, unit="replay")]
+    finally:
+        bridge.close()
+    env = env_of(task)
+    return f"given to {env}, the actions of {sum(share)} of {len(sample)} sampled successes succeed again"
 
 
 def _contents(task: Task, episode: Frames) -> dict[str, str]:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_o
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task
+
+if TYPE_CHECKING:  # whoever only reads observations does without physics
+    from dynaforge.sim import SceneState, SimScene
 
 WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
 FOLDER = "observations"
@@ -112,9 +115,7 @@ class ObservationRenderer:
     """
 
     def __init__(self, task: Task, settings: ObservationSettings) -> None:
-        self._settings = settings
-        self._low, self._high = (np.array(corner) for corner in settings.workspace)
-        self._thin = farthest_points if settings.points else None
+        self._views = Views(settings)
         from dynaforge.demos.replay import Replayer  # here: whoever only reads observations does without physics
 
         self._replayer = Replayer(task, visuals="plain")
@@ -134,8 +135,7 @@ class ObservationRenderer:
         """
         columns: dict[str, list[Any]] = {}
         for state in self._replayer.recorded_states(episode):
-            images = [see(self._replayer.scene, camera, state.ee) for camera in self._settings.cameras]
-            for name, value in self._arrays(images):
+            for name, value in self._views.of(self._replayer.scene, state):
                 columns.setdefault(name, []).append(value)
         if "points" in columns and not np.any(columns["points"]):
             raise ValueError("No camera ever sees a point in the workspace; move a camera or widen the workspace.")
@@ -149,7 +149,27 @@ class ObservationRenderer:
         """Release physics; legal twice."""
         self._replayer.close()
 
-    def _arrays(self, images: list[Image]) -> Iterator[tuple[str, NDArray[Any]]]:
+
+class Views:
+    """What cameras see of a scene now, which must have been loaded with visuals="plain".
+
+    Args:
+        settings: What to render.
+    """
+
+    def __init__(self, settings: ObservationSettings) -> None:
+        self._settings = settings
+        self._low, self._high = (np.array(corner) for corner in settings.workspace)
+        self._thin = farthest_points if settings.points else None
+
+    def of(self, scene: SimScene, state: SceneState) -> Iterator[tuple[str, Any]]:
+        """Yield name and array of each view, as `ObservationRenderer.render` stacks them.
+
+        Args:
+            scene: What to look at.
+            state: Its state, from which a camera on the hand looks.
+        """
+        images = [see(scene, camera, state.ee) for camera in self._settings.cameras]
         for camera, image in zip(self._settings.cameras, images, strict=True):
             if self._settings.images:
                 yield f"{camera.name}/rgb", image.rgb

@@ -23,6 +23,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
     Args:
         task: Task name or a Task.
         render_mode: None, "rgb_array" or "human".
+        visuals: Load visual shapes as for `SimScene`, besides what the render mode needs.
 
     Raises:
         ValueError: Unknown task or render mode.
@@ -31,12 +32,12 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
 
-    def __init__(self, task: str | Task, render_mode: str | None) -> None:
+    def __init__(self, task: str | Task, render_mode: str | None, *, visuals: bool | str = False) -> None:
         self.task = task if isinstance(task, Task) else get_task(task)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}
-        self.world = World(self.task, visuals=render_mode == "rgb_array", gui=render_mode == "human")
+        self.world = World(self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human")
         self._closed = False
         self._renderer: Renderer | None = None
         self._condition: Condition | None = None

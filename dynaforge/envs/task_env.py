@@ -34,6 +34,7 @@ class TaskEnv(WorldEnv):
         rotation: Of mode "ee": "rotvec" from the straight-down hand (rad), "quat_wxyz" or "rotation_6d".
         elbow: Mode "ee" with the third joint's angle (rad) behind the width: it settles the arm's seventh freedom.
         render_mode: None, "rgb_array" or "human".
+        visuals: "plain" loads what the cameras of an export look at (`generators.bridge`).
 
     Raises:
         ValueError: Unknown task, action mode, rotation or render mode.
@@ -47,9 +48,10 @@ class TaskEnv(WorldEnv):
         rotation: str = "rotvec",
         elbow: bool = False,
         render_mode: str | None = None,
+        visuals: bool | str = False,
     ) -> None:
         self.action_layout = ActionLayout(action_mode, rotation, elbow)
-        super().__init__(task, render_mode)
+        super().__init__(task, render_mode, visuals=visuals)
         self.action_mode = action_mode
         robot = self.world.scene.robot
         low, high = self.action_layout.bounds(robot.q_lower, robot.q_upper, robot.width_max)

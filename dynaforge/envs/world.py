@@ -50,11 +50,11 @@ class World:
 
     Args:
         task: What to simulate.
-        visuals: Load visual shapes for rendering.
+        visuals: Load visual shapes for rendering, as `SimScene` does.
         gui: Open Bullet's window.
     """
 
-    def __init__(self, task: Task, *, visuals: bool = False, gui: bool = False) -> None:
+    def __init__(self, task: Task, *, visuals: bool | str = False, gui: bool = False) -> None:
         check_kind("task", task, Task)
         self.task = task
         self.scene = SimScene(task.scene, visuals=visuals, gui=gui)

@@ -4,6 +4,7 @@ from dynaforge.generators.attempts import NoWorkers, Result, attempt_once, run_a
 from dynaforge.generators.collect import Goal, Source, collect
 from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.giving_up import GaveUp
+from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.oracle import Oracle
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "GaveUp",
     "Generator",
     "Goal",
+    "LearnerGenerator",
     "NoWorkers",
     "Oracle",
     "PlannerOnly",

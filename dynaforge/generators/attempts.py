@@ -8,11 +8,11 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Any
 
 from dynaforge.demos import Attempt, Episode
 from dynaforge.envs.processes import guard_hint, usable_cores, worker_pool
-from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators.generator import Generator
+from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
@@ -31,7 +31,7 @@ class Result:
     episode: Episode | None
 
 
-_env: ResidualEnv | None = None
+_env: Any = None
 _generator: Generator | None = None
 
 
@@ -135,7 +135,7 @@ def _kill(pool: ProcessPoolExecutor) -> None:
 
 def _start(task: Task, generator: Generator) -> None:
     global _env, _generator
-    _env, _generator = ResidualEnv(task), generator
+    _env, _generator = make_env(generator, task), generator
 
 
 def _ready() -> None:
@@ -143,12 +143,11 @@ def _ready() -> None:
 
 
 def _attempt(condition: Condition) -> Result:
-    assert _env is not None
     assert _generator is not None
     return attempt_once(_env, _generator, condition)
 
 
-def attempt_once(env: ResidualEnv, generator: Generator, condition: Condition) -> Result:
+def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result:
     """Attempt a condition in this process; an exception is a failed attempt with a reason."""
     start = time.perf_counter()
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any, Protocol
 
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from dynaforge.demos import Episode
 from dynaforge.demos.episode import check_generator_name
 from dynaforge.demos.schema import state_digests
+from dynaforge.envs.base import WorldEnv
 from dynaforge.envs.executor import Outcome
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_callable, check_kind, check_number, finite_array
+from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
 
 PACKAGES = ("dynaforge", "pybullet", "pin", "toppra", "ruckig", "numpy")
@@ -32,16 +34,25 @@ class ResidualPolicy(Protocol):
 
 
 class Generator(Protocol):
-    """Attempts a condition; picklable, so that workers can run it."""
+    """Attempts a condition; picklable, so that workers can run it.
+
+    One that acts in another env than a `ResidualEnv` has `make_env(task)`, which makes what `attempt` is given.
+    """
 
     @property
     def name(self) -> str:
         """Its name in ledgers and reports."""
         ...
 
-    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+    def attempt(self, env: Any, condition: Condition) -> Episode:
         """Run one episode, successful or not."""
         ...
+
+
+def make_env(generator: Generator, task: Task) -> Any:
+    """Make the env that a generator acts in."""
+    make: Callable[[Task], Any] = getattr(generator, "make_env", ResidualEnv)
+    return make(task)
 
 
 class ResidualGenerator:
@@ -79,7 +90,7 @@ class ResidualGenerator:
 
 
 def episode_of(
-    env: ResidualEnv, recorder: Recorder, outcome: Outcome, condition: Condition, *, generator: str, policy_hash: str
+    env: WorldEnv, recorder: Recorder, outcome: Outcome, condition: Condition, *, generator: str, policy_hash: str
 ) -> Episode:  # fmt: skip
     """Put together what was recorded of an attempt that has just ended.
 
@@ -92,6 +103,8 @@ def episode_of(
         policy_hash: Digest of the policy; "" without one.
     """
     steps = recorder.arrays(outcome.episodic_return(env.task.n_checkpoints))
+    touched = steps["left_contact"] | steps["right_contact"] if steps else None
+    planned = steps["phase"] >= env.task.contact_phase if "phase" in steps else None
     return Episode(
         condition=condition,
         generator=generator,
@@ -103,8 +116,8 @@ def episode_of(
         steps=steps,
         meta={
             "phases": [phase.name for phase in env.task.phases],
-            "planned_contact_time": _first_time(steps, steps["phase"] >= env.task.contact_phase) if steps else None,
-            "contact_time": _first_time(steps, steps["left_contact"] | steps["right_contact"]) if steps else None,
+            "planned_contact_time": _first_time(steps, planned),
+            "contact_time": _first_time(steps, touched),
             "state_digests": state_digests(steps),
             "task_hash": task_digest(env.task),
             "policy_hash": policy_hash,
@@ -113,9 +126,9 @@ def episode_of(
     )
 
 
-def _first_time(steps: Mapping[str, NDArray[Any]], holds: NDArray[np.bool_]) -> float | None:
+def _first_time(steps: Mapping[str, NDArray[Any]], holds: NDArray[np.bool_] | None) -> float | None:
     """Return the simulated time of the first step at which something holds; None if it never does."""
-    found = np.flatnonzero(holds)
+    found = np.flatnonzero(holds) if holds is not None else np.empty(0, int)
     return float(steps["time"][found[0]]) if len(found) else None
 
 

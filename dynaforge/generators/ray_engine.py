@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dynaforge.envs.processes import SINGLE_THREAD
-from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_once, lost
-from dynaforge.generators.generator import Generator
+from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
@@ -25,7 +24,7 @@ class _Attempter:
     """The actor: an env of its own, attempt after attempt."""
 
     def __init__(self, task: Task, generator: Generator) -> None:
-        self._env, self._generator = ResidualEnv(task), generator
+        self._env, self._generator = make_env(generator, task), generator
 
     def ready(self) -> None:
         """Return once it is up."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from dynaforge.envs.world import ControlStep
 from dynaforge.geometry import Array, Pose
 from dynaforge.planning import ArmKinematics
+from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
 
 
@@ -38,14 +40,7 @@ class Recorder:
         if not steps:
             return {}
         before = [s.before for s in steps]
-        held = steps[0].planned is not None and self._task.manipulated
-        columns: dict[str, Any] = {
-            "time": [s.time for s in before],
-            "q": [s.q for s in before],
-            "dq": [s.dq for s in before],
-            "ee_position": [s.ee.position for s in before],
-            "ee_quat_wxyz": [s.ee.quat_wxyz for s in before],
-            "width": [s.width for s in before],
+        columns = measured(before, self._task) | {
             "residual_action": [s.residual for s in steps],
             "requested_action": [flat_action(s.requested, s.requested_width) for s in steps],
             "projected_action": [
@@ -56,26 +51,40 @@ class Recorder:
             "width_reference": [s.reference.width for s in steps],
             "reward": [0.0] * (len(steps) - 1) + [final_reward],
         }
-        if held:
-            planned = [s.planned for s in steps if s.planned is not None]
+        planned = [s.planned for s in steps if s.planned is not None]
+        if planned:
             columns |= {
                 "phase": np.array([a.phase for a in planned], dtype=np.int16),
                 "gate": [a.gate for a in planned],
                 "planner_action": [flat_action(a.target, a.width) for a in planned],
-                "left_contact": [s.touching[held][0] for s in before],
-                "right_contact": [s.touching[held][1] for s in before],
-            }
-        free = {body.name for body in self._task.scene.bodies}
-        for name in before[0].objects:
-            bodies = [s.objects[name] for s in before]
-            kind = f"{'object' if name in free else 'fixture'}/{name}"
-            columns |= {
-                f"{kind}/position": [b.pose.position for b in bodies],
-                f"{kind}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
-                f"{kind}/velocity": [b.velocity for b in bodies],
-                f"{kind}/angular_velocity": [b.angular_velocity for b in bodies],
             }
         return {name: np.asarray(column) for name, column in columns.items()}
+
+
+def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
+    """Return what is measured of states, one column a quantity, named as in `demos.schema`."""
+    held = task.manipulated
+    columns: dict[str, Any] = {
+        "time": [s.time for s in states],
+        "q": [s.q for s in states],
+        "dq": [s.dq for s in states],
+        "ee_position": [s.ee.position for s in states],
+        "ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
+        "width": [s.width for s in states],
+        "left_contact": [s.touching[held][0] for s in states],
+        "right_contact": [s.touching[held][1] for s in states],
+    }
+    free = {body.name for body in task.scene.bodies}
+    for name in states[0].objects:
+        bodies = [s.objects[name] for s in states]
+        kind = f"{'object' if name in free else 'fixture'}/{name}"
+        columns |= {
+            f"{kind}/position": [b.pose.position for b in bodies],
+            f"{kind}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
+            f"{kind}/velocity": [b.velocity for b in bodies],
+            f"{kind}/angular_velocity": [b.angular_velocity for b in bodies],
+        }
+    return columns
 
 
 def flat_action(target: Pose, width: float) -> Array:

@@ -190,26 +190,21 @@ def _check_rate(episode: Episode, fps: int) -> None:
 
 def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kind) -> Frames:
     steps, n = episode.steps, len(episode)
-    quat = without_jumps(steps["ee_quat_wxyz"])
-    robot = {
-        "ee_position": steps["ee_position"], "ee_quat_wxyz": quat, "width": steps["width"][:, None],
-        "q": steps["q"], "dq": steps["dq"],
-    }  # fmt: skip
     nothing = np.zeros(n, dtype=bool)
     seen = _seen(observations, episode)
     return Frames(
         id=episode.id,
         success=episode.success,
         fps=kind.fps,
-        robot={name: column.astype(np.float32) for name, column in robot.items()},
-        objects=_objects(steps),
+        robot=robot_columns(steps),
+        objects=object_columns(steps),
         privileged=kind.privileged,
         actions=kind.layout.of_steps(steps).astype(np.float32),
         layout=kind.layout,
         rewards=steps["reward"].astype(np.float32),
         phase=steps.get("phase", np.full(n, -1)).astype(np.int64),
         gate=steps.get("gate", nothing),
-        contact=np.column_stack([steps.get(f"{side}_contact", nothing) for side in CONTACTS]),
+        contact=contact_columns(steps),
         images=seen["rgb"],
         depths=seen["depth"] if kind.depth else {},
         points=seen["points"],
@@ -218,15 +213,30 @@ def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kin
     )
 
 
-def _objects(steps: Mapping[str, NDArray[Any]]) -> dict[str, Floats]:
+def robot_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
+    """Return what an export says of the robot, of recorded columns by their names in `demos.schema`."""
+    columns = {name: np.asarray(steps[name]) for name in ROBOT_NAMES}
+    columns["ee_quat_wxyz"] = without_jumps(columns["ee_quat_wxyz"])
+    columns["width"] = columns["width"][:, None]
+    return {name: column.astype(np.float32) for name, column in columns.items()}
+
+
+def object_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
+    """Return what an export says of objects and fixtures, likewise."""
     objects = {}
-    for key, column in steps.items():
+    for key, values in steps.items():
         kind, _, rest = key.partition("/")
         if kind in ("object", "fixture"):
-            name = rest.replace("/", "_")
+            name, column = rest.replace("/", "_"), np.asarray(values)
             held = without_jumps(column) if name.endswith("_quat_wxyz") else column
             objects[name] = held.astype(np.float32)
     return objects
+
+
+def contact_columns(steps: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Return whether each finger touches, shape (T, 2), likewise."""
+    nothing = np.zeros(len(steps["time"]), dtype=bool)
+    return np.column_stack([steps.get(f"{side}_contact", nothing) for side in CONTACTS])
 
 
 def _seen(observations: ObservationFolder | None, episode: Episode) -> dict[str, Any]:

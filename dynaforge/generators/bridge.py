@@ -1,0 +1,123 @@
+"""Between an export and the env that its actions belong to: a policy learned from the one acts in the other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynaforge.demos.exporters.frames import STATE, contact_columns, object_columns, robot_columns
+from dynaforge.demos.observations import ObservationSettings, Views
+from dynaforge.envs.task_env import TaskEnv
+from dynaforge.generators.recording import measured
+from dynaforge.sim import Condition
+from dynaforge.tasks import Task
+from dynaforge.tasks.action import ActionLayout
+
+EXPORTED = ActionLayout(elbow=True)
+"""What an action is in an export, unless it was asked for something else."""
+
+
+class ExportBridge:
+    """A task's env in the terms of its exports: exported observations, exported actions.
+
+    Args:
+        task: The task.
+        layout: Which numbers an action of the export consists of.
+        settings: Cameras of the export's pictures and points; None for an export without.
+    """
+
+    def __init__(
+        self, task: Task, layout: ActionLayout = EXPORTED, *, settings: ObservationSettings | None = None
+    ) -> None:
+        rotation = layout.rotation if layout.mode == "ee" else "rotvec"
+        self.env = TaskEnv(
+            task, action_mode=layout.mode, rotation=rotation, elbow=layout.elbow,
+            visuals=False if settings is None else "plain",
+        )  # fmt: skip
+        self.layout = layout
+        self._settings = settings
+        self._views = None if settings is None else Views(settings)
+
+    def reset(self, condition: Condition) -> dict[str, NDArray[Any]]:
+        """Start the episode of a condition and return its first observation."""
+        self.env.reset(options={"condition": condition})
+        self._signs: dict[str, NDArray[Any]] = {}
+        return self.observation()
+
+    def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+        """Take one control step with one row of actions, and return what `gymnasium.Env.step` does.
+
+        Args:
+            action: Shape (d,), named by `layout.names`; what lies outside the action space is clipped.
+
+        Raises:
+            ValueError: Another number of components, NaN or infinity, or numbers that mean no rotation.
+        """
+        row = np.asarray(action, dtype=np.float64)
+        if row.shape != (len(self.layout.names),):
+            raise ValueError(
+                f"An action here is {len(self.layout.names)} numbers ({', '.join(self.layout.names)}); given shape "
+                f"{row.shape}. A policy trained on another export tells its `layout`."
+            )
+        _, reward, done, truncated, info = self.env.step(row.astype(np.float32))
+        return self.observation(), reward, done, truncated, info
+
+    def observation(self) -> dict[str, NDArray[Any]]:
+        """Return what an export says of the state now, by the names of robomimic's `obs`.
+
+        The robot's `ee_position` (3), `ee_quat_wxyz` (4), `width` (1), `q` (7), `dq` (7); `contact` (2); `state`, the
+        first four of these side by side (15), as LeRobot's `observation.state`; of every object
+        `<name>_position` and so on, and `object_state`, all of these side by side; with settings `<camera>_image`
+        (H, W, 3) uint8, `<camera>_depth` (H, W) uint16 in tenths of a millimetre, `points` and `point_colors`.
+        """
+        state = self.env.world.state
+        steps = measured([state], self.env.task)
+        robot, objects = robot_columns(steps), object_columns(steps)
+        observation = {name: self._steady(name, column[0]) for name, column in (robot | objects).items()}
+        observation["contact"] = contact_columns(steps)[0]
+        observation["state"] = np.concatenate([observation[name] for name in STATE])
+        observation["object_state"] = np.concatenate([observation[name] for name in objects])
+        if self._views is not None:
+            observation |= _pictures(dict(self._views.of(self.env.world.scene, state)))
+        return observation
+
+    def close(self) -> None:
+        """Release physics; safe to call more than once."""
+        self.env.close()
+
+    def _steady(self, name: str, value: NDArray[Any]) -> NDArray[Any]:
+        """Keep the sign of a quaternion from one control step to the next, as exports do."""
+        if name.endswith("_quat_wxyz"):
+            before = self._signs.get(name, value)
+            self._signs[name] = value = -value if float(value @ before) < 0.0 else value
+        return value
+
+
+def _pictures(views: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    found = {name: views[name] for name in ("point_colors",) if name in views}
+    if "points" in views:
+        found["points"] = views["points"].astype(np.float32)
+    for name, value in views.items():
+        camera, _, kind = name.rpartition("/")
+        if kind in ("rgb", "depth"):
+            found[f"{camera}_{'image' if kind == 'rgb' else kind}"] = value
+    return found
+
+
+def acts_again(bridge: ExportBridge, condition: Condition, actions: NDArray[Any]) -> bool:
+    """Tell whether the actions of a recording succeed in the env from the same start; the last one is held on.
+
+    Args:
+        bridge: The env, of the actions' layout.
+        condition: What fixed the recording.
+        actions: Shape (T, d).
+    """
+    bridge.env.reset(options={"condition": condition})
+    done, info, k = False, dict[str, Any](), 0
+    while not done:
+        _, _, done, _, info = bridge.env.step(actions[min(k, len(actions) - 1)])
+        k += 1
+    return bool(info["is_success"])

@@ -1,0 +1,108 @@
+"""A policy learned from an export, as a generator: `dynaforge evaluate --learner module:function`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+from numpy.typing import ArrayLike, NDArray
+
+from dynaforge.demos import Episode
+from dynaforge.demos.observations import ObservationSettings
+from dynaforge.envs.executor import Outcome
+from dynaforge.generators.bridge import EXPORTED, ExportBridge
+from dynaforge.generators.generator import episode_of
+from dynaforge.generators.recording import Recorder
+from dynaforge.sim import Condition
+from dynaforge.tasks import Task
+from dynaforge.tasks.user_code import module_of_file
+
+
+class Learner(Protocol):
+    """Maps the observation of a control step, in the export's terms, to a row of actions.
+
+    It may have `layout`, an `ActionLayout`, where the export was not the default one, and `reset()`, called before each
+    episode, where it keeps a memory, such as actions still to come.
+    """
+
+    def __call__(self, observation: Mapping[str, NDArray[Any]]) -> ArrayLike:
+        """Return the action, shape (d,)."""
+        ...
+
+
+class LearnerGenerator:
+    """Attempts conditions with a learned policy in the task's env, without the planner.
+
+    Args:
+        source: "module:function" or "file.py:function"; the function takes the task's name and returns a `Learner`. It
+            is called in every worker.
+        settings: Cameras of the pictures and points that it was trained on.
+
+    Raises:
+        ValueError: The source is not of that form, or holds no such function.
+    """
+
+    name = "learner"
+
+    def __init__(self, source: str, *, settings: ObservationSettings | None = None) -> None:
+        load_function(source)
+        self.source = source
+        self.settings = settings
+        self._learner: Learner | None = None
+
+    def make_env(self, task: Task) -> ExportBridge:
+        """Make the policy, and the env in whose actions it answers."""
+        self._learner = load_function(self.source)(task.name)
+        if not callable(self._learner):
+            raise ValueError(f"{self.source} must return something to call with an observation, got {self._learner!r}.")
+        return ExportBridge(task, getattr(self._learner, "layout", EXPORTED), settings=self.settings)
+
+    def attempt(self, env: ExportBridge, condition: Condition) -> Episode:
+        """Run one episode and record it."""
+        assert self._learner is not None
+        task, world = env.env.task, env.env.world
+        recorder = Recorder(task, world.kinematics)
+        world.listeners.append(recorder)
+        try:
+            observation = env.reset(condition)
+            if forget := getattr(self._learner, "reset", None):
+                forget()
+            done, info = False, dict[str, Any]()
+            while not done:
+                observation, _, done, _, info = env.step(self._learner(observation))
+        finally:
+            world.listeners.remove(recorder)
+        outcome = Outcome(info["is_success"], task.n_checkpoints if info["is_success"] else 0, info["failure"], "")
+        return episode_of(env.env, recorder, outcome, condition, generator=self.name, policy_hash="")
+
+
+def load_function(source: str) -> Callable[[str], Learner]:
+    """Import "module:function" or "file.py:function"; a module is looked for in the working folder too.
+
+    Raises:
+        ValueError: Another form, no such module or file, no such function in it, or code that fails.
+    """
+    where, _, name = source.rpartition(":")
+    if not where or not name.isidentifier():
+        raise ValueError(f"--learner is {source!r}; write module:function or file.py:function.")
+    path = Path(where if where.endswith(".py") else f"{where}.py").resolve()
+    if path.is_file():
+        module = module_of_file(path)
+    elif where.endswith(".py"):
+        raise ValueError(f"--learner: no file {where}.")
+    else:
+        module = _installed(where)
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ValueError(f"--learner: {where} has no function {name!r}.")
+    return function  # type: ignore[no-any-return]
+
+
+def _installed(name: str) -> ModuleType:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"--learner: no module {error.name!r} here or installed.") from error

@@ -1,0 +1,43 @@
+"""Files of code that a user names on the command line: imported, and their mistakes told in one line."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+
+def module_of_file(path: Path) -> ModuleType:
+    """Import a file as a module of its own name, so that workers find it too.
+
+    Raises:
+        ValueError: Its name is taken or none that can be imported, or its code fails: the file, the line, the reason.
+    """
+    if "." in path.stem:
+        raise ValueError(
+            f"{path}: Python imports no file with a dot in its name; call it {path.stem.replace('.', '_')}.py."
+        )
+    if (known := sys.modules.get(path.stem)) is not None and getattr(known, "__file__", None) != str(path):
+        raise ValueError(f"{path.name}: a module {path.stem!r} exists already; give the file another name.")
+    if str(path.parent) not in sys.path:
+        sys.path.insert(0, str(path.parent))
+    try:
+        return import_module(path.stem)
+    except SyntaxError as error:
+        line = f", line {error.lineno}" if error.lineno else ""
+        raise ValueError(f"{error.filename or path}{line}: {error.msg}.") from error
+    except (Exception, SystemExit) as error:  # a user's file may raise anything, and must not end the command
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        place = f"{path}, line {lines[-1]}" if lines else str(path)
+        raise ValueError(f"{place}: {_in_one_line(error)}") from error
+
+
+def _in_one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    if isinstance(error, SystemExit):
+        return f"the file ends the program (SystemExit {text}); a file that is imported only defines things."
+    if isinstance(error, (ValueError, OSError)) and text:
+        return text
+    return f"{type(error).__name__}: {text}".removesuffix(": ")
