@@ -143,5 +143,9 @@ ZOO = {
     "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
     "enjoy": "rl_zoo3's enjoy: play a trained policy",
     "record_video": "rl_zoo3's record_video: an MP4 of it",
+    "record_training": "rl_zoo3's record_training: an MP4 of all its checkpoints",
+    "plot_train": "rl_zoo3's plot_train: reward, length or success in training",
+    "all_plots": "rl_zoo3's all_plots: evaluations of several runs",
+    "plot_from_file": "rl_zoo3's plot_from_file: what all_plots has stored",
 }
 """Commands of rl_zoo3, which reads their arguments."""

@@ -1,35 +1,42 @@
-"""rl_zoo3 with FrontierGRPO and the DynaForge envs registered: `dynaforge train`, `enjoy` and `record_video`.
+"""rl_zoo3 with FrontierGRPO and the DynaForge envs registered: `dynaforge train`, `enjoy`, `record_video` and so on.
 
 Flags, log folders and output are rl_zoo3's own; a run ends in `logs/<algo>/<env>_<run>/` unless `-f` says otherwise.
 What is added: the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list
 the env, worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the trained
-model, which `evaluate` and `collect` take as `--policy`, and `--trusted`.
+model, which `evaluate` and `collect` take as `--policy`, and `--trusted`. What plays a model looks in logs/, where
+`train` writes, unless `-f` is given.
 """
 
 from __future__ import annotations
 
 import argparse
 import difflib
-import functools
 import runpy
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from dynaforge.algos import settings
+from dynaforge.cli.zoo_checks import check_configuration, check_flags
 from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
+from dynaforge.cli.zoo_process import ZooProcess
 from dynaforge.envs.processes import worker_environment
-from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.tasks import what_was_meant
 
 ALGORITHMS = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
 
-SCRIPTS = ("train", "enjoy", "record_video")
+PLAYERS = ("enjoy", "record_video", "record_training")
+"""Scripts of rl_zoo3 that load a trained model."""
+
+PLOTTERS = ("plot_train", "all_plots", "plot_from_file")
+"""Scripts of rl_zoo3 that read logs."""
+
+SCRIPTS = ("train", *PLAYERS, *PLOTTERS)
 """Of rl_zoo3."""
 
 NET_ARCHS = {"small": [64, 64], "medium": [128, 128], "large": [256, 256]}
@@ -45,24 +52,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] not in SCRIPTS:
         given = repr(arguments[0]) if arguments else "nothing"
-        raise SystemExit(f"dynaforge: expected 'train', 'enjoy' or 'record_video' and its flags, was given {given}")
+        known = f"{', '.join(map(repr, SCRIPTS[:-1]))} or {SCRIPTS[-1]!r}"
+        raise SystemExit(f"dynaforge: expected {known} and its flags, was given {given}")
     script, *flags = arguments
+    if script in PLOTTERS:
+        return _plot(script, flags)
     asked = _parse(script, flags)
     flags = [flag for flag in flags if flag != "--trusted"]
     if not asked.help:
         _check_files(script, asked)
         flags += _name_env(script, asked)
         _check_display(script, asked, flags)
+    if script in PLAYERS and asked.folder is None:
+        flags += ["-f", "logs"]
     register_with_zoo()
     config = None
     if not asked.help:
         _check_names(asked)
+        with _one_line(script):
+            check_flags(script, asked, named_env=asked.env_given is not None)
+            if asked.conf_file is not None:
+                check_configuration(asked.conf_file, asked.env)
         if script == "train":
             _check_statistics(asked)
             config = config_file(asked.algo, asked.env) if asked.conf_file is None else None
     flags += ["--conf-file", str(config)] if config else []
-    own_vec_env = asked.env.startswith("DynaForge/") and asked.vec_env is None
-    with worker_environment(), _zoo_process(script, flags, own_vec_env=own_vec_env, own_config=config is not None):
+    own_env = asked.env.startswith("DynaForge/")
+    own_workers = own_env and asked.vec_env is None
+    arranged = _zoo_process(script, flags, own_env=own_env, own_workers=own_workers, config=config)
+    with worker_environment(), arranged:
         _run(script)
     return 0
 
@@ -132,7 +150,10 @@ def _parse(script: str, flags: list[str]) -> argparse.Namespace:
     """Read the flags that matter here; rl_zoo3 parses all of them again, with its own defaults and help."""
     parser = argparse.ArgumentParser(prog=f"dynaforge {script}", add_help=False)
     parser.add_argument("--algo", default="ppo")
-    parser.add_argument("--env", default="CartPole-v1")
+    parser.add_argument("--env", dest="env_given")
+    parser.add_argument("-n", "--n-timesteps", type=int)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("-f", "--log-folder" if script == "train" else "--folder", dest="folder")
     parser.add_argument("--vec-env")
     parser.add_argument("--gym-packages", nargs="+", default=[])
     parser.add_argument("--trusted", action="store_true")
@@ -142,14 +163,13 @@ def _parse(script: str, flags: list[str]) -> argparse.Namespace:
         parser.add_argument("-i", "--trained-agent", default="")
     else:
         parser.set_defaults(conf_file=None, trained_agent="")
-    return parser.parse_known_args(flags)[0]
+    asked = parser.parse_known_args(flags)[0]
+    asked.env = asked.env_given or "CartPole-v1"
+    return asked
 
 
 def _check_files(script: str, asked: argparse.Namespace) -> None:
-    """Refuse a missing configuration, and to load an SB3 checkpoint unasked: unpickling runs what its author put in."""
-    conf = asked.conf_file
-    if conf is not None and conf.endswith((".yml", ".yaml", ".py")) and not Path(conf).is_file():
-        raise SystemExit(f"dynaforge train: no hyperparameter file {conf!r}; leave -conf out for the installed one")
+    """Refuse to load an SB3 checkpoint unasked: unpickling runs what its author put in."""
     if (script != "train" or asked.trained_agent) and not asked.trusted:
         what = asked.trained_agent or "an rl_zoo3 checkpoint"
         raise SystemExit(
@@ -210,51 +230,60 @@ def _check_names(asked: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _zoo_process(script: str, flags: list[str], *, own_vec_env: bool, own_config: bool) -> Iterator[None]:
+def _zoo_process(
+    script: str, flags: list[str], *, own_env: bool, own_workers: bool, config: Path | None
+) -> Iterator[None]:
     """Arrange for as long as rl_zoo3 runs what it reads from the process, and what it does to our envs."""
     from rl_zoo3.exp_manager import ExperimentManager
 
     from dynaforge.envs.vector_env import SharedMemoryVecEnv
 
-    manager: Any = ExperimentManager
-    changed = ("default_vec_env_cls", "save_trained_model", "read_hyperparameters")
-    previous = sys.argv, {name: getattr(manager, name) for name in changed}
-    sys.argv = [f"dynaforge {script}", *flags]
-    manager.save_trained_model = _saving_the_policy(manager.save_trained_model)
-    if own_vec_env and script == "train":
-        manager.default_vec_env_cls = SharedMemoryVecEnv
-    if own_config:
-        manager.read_hyperparameters = reading_our_settings(manager.read_hyperparameters)
+    with _one_line(script), closing(ZooProcess(script, flags, own_envs=own_env)) as process:
+        if own_workers and script == "train":
+            process.put("default_vec_env_cls", SharedMemoryVecEnv)
+        if config is not None:
+            process.put("read_hyperparameters", reading_our_settings(ExperimentManager.read_hyperparameters))
+        try:
+            yield
+        except Exception as error:
+            if process.learning and not isinstance(error, (ValueError, OSError, ArithmeticError)):
+                raise
+            if not process.learning:
+                process.clear()
+            raise ZooFailure(error) from error
+
+
+class ZooFailure(Exception):  # noqa: N818 - it stands for one of any kind
+    """What a script of rl_zoo3 ended with: a mistake in the command line, or an error that explains itself."""
+
+    def __str__(self) -> str:
+        error = self.args[0]
+        kind = "" if isinstance(error, (ValueError, AssertionError, OSError)) else f"{type(error).__name__}: "
+        return kind + (str(error) or type(error).__name__)
+
+
+@contextmanager
+def _one_line(script: str) -> Iterator[None]:
+    """Let a mistake end the process with one line.
+
+    Raises:
+        SystemExit: With that line.
+    """
     try:
         yield
-    finally:
-        sys.argv = previous[0]
-        for name, value in previous[1].items():
-            setattr(manager, name, value)
+    except (ValueError, ZooFailure) as error:
+        raise SystemExit(f"dynaforge {script}: {' '.join(str(error).split())}") from error
 
 
-def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
-    """Let rl_zoo3's saving of a trained model write `policy.safetensors` too, where the env is a task's."""
-
-    @functools.wraps(save)
-    def save_trained_model(manager: Any, model: Any) -> None:
-        save(manager, model)
-        task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
-        if task is None:
-            return
-        from dynaforge.cli.training import policy_file
-
-        try:
-            updates = model._n_updates // getattr(model, "n_epochs", 1)
-            policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
-        except ValueError as error:
-            print(f"No policy.safetensors: {error}")
-            return
-        path = Path(manager.save_path) / "policy.safetensors"
-        policy.save(path)
-        print(f"Policy for evaluate and collect: --policy {path}")
-
-    return save_trained_model
+def _plot(script: str, flags: list[str]) -> int:
+    """Run a script that plots; it looks for parts of folder names, in which "/" is written "-"."""
+    if script == "plot_from_file" and not {"-h", "--help", "--trusted"} & set(flags):
+        raise SystemExit("dynaforge plot_from_file: it unpickles a file of all_plots; add --trusted if it is your own")
+    flags = [flag.replace("DynaForge/", "DynaForge-") for flag in flags if flag != "--trusted"]
+    register_with_zoo()
+    with _zoo_process(script, flags, own_env=False, own_workers=False, config=None):
+        _run(script)
+    return 0
 
 
 def _run(script: str) -> None:
@@ -267,5 +296,9 @@ def _run(script: str) -> None:
         from rl_zoo3.enjoy import enjoy
 
         enjoy()
+    elif script in PLOTTERS:
+        import rl_zoo3.plots
+
+        getattr(rl_zoo3.plots, script)()
     else:
-        runpy.run_module("rl_zoo3.record_video", run_name="__main__")
+        runpy.run_module(f"rl_zoo3.{script}", run_name="__main__")

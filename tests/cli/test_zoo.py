@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import closing
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.algos.settings import arms
 from dynaforge.cli import zoo
 from dynaforge.cli.main import main
+from dynaforge.cli.zoo_process import ZooProcess
 
 
 def run(*arguments: str) -> str:
@@ -29,8 +31,8 @@ def run(*arguments: str) -> str:
 
 
 @pytest.mark.parametrize("arguments", [[], ["trian", "--algo", "ppo"], ["--algo", "ppo"]])
-def test_anything_but_train_and_enjoy_is_refused(arguments: list[str]) -> None:
-    assert "expected 'train', 'enjoy' or 'record_video'" in run(*arguments)
+def test_anything_but_a_script_of_the_zoo_is_refused(arguments: list[str]) -> None:
+    assert "expected 'train', 'enjoy', 'record_video'" in run(*arguments)
 
 
 def test_unknown_names_are_refused_with_the_closest_match() -> None:
@@ -39,7 +41,115 @@ def test_unknown_names_are_refused_with_the_closest_match() -> None:
 
 
 def test_a_missing_configuration_file_is_named() -> None:
-    assert "'nowhere.yml'" in run("train", "--algo", "ppo", "-conf", "nowhere.yml")
+    assert "'nowhere.yml'" in run("train", "--algo", "ppo", "--env", "CartPole-v1", "-conf", "nowhere.yml")
+
+
+ENTRY = "{n_timesteps: 100, policy: MlpPolicy, n_envs: 1%s}"
+FILES = {
+    "file": "",
+    "broken.yml": "a: [1",
+    "list.yml": "[1, 2]",
+    "other.yml": f"Foo-v0: {ENTRY % ''}",
+    "flat.yml": "CartPole-v1: 3",
+    "short.yml": "CartPole-v1: {policy: MlpPolicy}",
+    "unknown.yml": f"CartPole-v1: {ENTRY % ', group_sise: 4'}",
+    "rate.yml": f"CartPole-v1: {ENTRY % ', clip_range_high: lin_x'}",
+    "no.zip": "",
+}
+MISTAKES = {
+    "": "name an env, as in: dynaforge train --algo frontier_grpo --env DynaForge/Can-v0",
+    "-n 0": "-n is 0; it must be at least 1",
+    "-n=-5": "-n is -5",
+    "--seed=-2": "--seed is -2",
+    "--seed 4294967296": "--seed is 4294967296",
+    "-f file": "-f file is a file",
+    "-i gone.zip --trusted": "-i gone.zip does not exist",
+    "-i no.zip --trusted": "-i no.zip is no checkpoint",
+    "-conf broken.yml": "broken.yml is no YAML",
+    "-conf list.yml": "list.yml holds list",
+    "-conf other.yml": "other.yml lists Foo-v0, and neither CartPole-v1",
+    "-conf flat.yml": "flat.yml: CartPole-v1 holds int",
+    "-conf short.yml": "CartPole-v1 lacks n_timesteps",
+    "-conf unknown.yml": "no hyperparameter 'group_sise'. Did you mean 'group_size'?",
+    "-conf rate.yml": "clip_range_high is 'lin_x'; write a number, or lin_NUMBER",
+    "-conf folder": "-conf folder is a folder",
+    "-conf no.such.package": "neither a file that ends in .yml or .py nor a package",
+    "-params lerning_rate:1": "Did you mean 'learning_rate'?",
+    "-params learning_rate:fast": "-params learning_rate:fast: name 'fast' is not defined; write NAME:VALUE",
+    "-params learning_rate:": "is no pair; write NAME:VALUE",
+    "-params learning_rate": "is no pair; write NAME:VALUE",
+    "-params learning_rate:1/0": "division by zero",
+    "-params learning_rate:float('nan')": "learning_rate is nan",
+    "-params group_size:1": "group_size is 1, but must be at least 2",
+    "--env-kwargs foo:1": "unexpected keyword argument 'foo'",
+}
+
+
+@pytest.mark.parametrize("flags", MISTAKES)
+def test_a_mistake_is_one_line_and_leaves_no_folder(
+    flags: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        Path(name).write_text(text)
+    Path("folder").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    env = ["--env", "CartPole-v1", "--device", "cpu"] if flags else []
+    assert MISTAKES[flags] in run("train", "--algo", "frontier_grpo", *env, *flags.split())
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_no_script_of_the_zoo_leaves_a_trace_in_the_process() -> None:
+    zoo.register_with_zoo()
+    from rl_zoo3.exp_manager import ExperimentManager
+    from rl_zoo3.utils import StoreDict
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+    before = [dict(vars(owner)) for owner in (ExperimentManager, StoreDict, BaseAlgorithm)]
+    with closing(ZooProcess("record_training", [], own_envs=True)):
+        assert vars(BaseAlgorithm) != before[2]
+    assert [dict(vars(owner)) for owner in (ExperimentManager, StoreDict, BaseAlgorithm)] == before
+
+
+@pytest.mark.parametrize("algo", ["frontier_grpo", "ppo"])
+def test_every_schedule_of_a_configuration_falls_to_zero_and_not_below(
+    algo: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With `-n 100` a whole iteration overshoots the steps by far."""
+    monkeypatch.chdir(tmp_path)
+    own = ", n_groups: 2, group_size: 2, group_filter: mixed_return, clip_range_high: lin_0.28"
+    sizes = own if algo == "frontier_grpo" else ", n_steps: 128, batch_size: 64"
+    rest = f"{sizes}, learning_rate: lin_1e-3, clip_range: lin_0.2"
+    Path("c.yml").write_text(f"CartPole-v1: {ENTRY % rest}")
+    seen: dict[str, Any] = {}
+
+    def look(manager: Any, model: Any) -> None:
+        seen["model"] = model
+
+    zoo.register_with_zoo()
+    from rl_zoo3.exp_manager import ExperimentManager
+
+    monkeypatch.setattr(ExperimentManager, "save_trained_model", look)
+    flags = [
+        "--env",
+        "CartPole-v1",
+        "-n",
+        "50",
+        "-conf",
+        "c.yml",
+        "--eval-freq",
+        "-1",
+        "--device",
+        "cpu",
+        "--seed",
+        "0",
+    ]
+    assert zoo.main(["train", "--algo", algo, *flags]) == 0
+    model = seen["model"]
+    assert model.num_timesteps > 50
+    assert model.policy.optimizer.param_groups[0]["lr"] == 0.0
+    assert model.clip_range(0.5) == 0.1
+    assert algo == "ppo" or model.clip_range_high(0.5) == 0.14
 
 
 @pytest.mark.parametrize("flags", [["-i", "a.zip"], ["--trained-agent=a.zip"], ["--trained", "a.zip"], ["-ia.zip"]])
@@ -207,7 +317,8 @@ def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     which = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "--device", "cpu"]
     sizes = ["n_groups:4", "group_size:2"] if algo == "frontier_grpo" else ["n_steps:16"]
     small = ["--num-threads", "1", "--eval-episodes", "1", "-params", "n_envs:4", *sizes]
-    trained = zoo_process(tmp_path, "train", *which, "-n", "64", "--eval-freq", "8", *small)
+    asked = ["--eval-freq", "8", "--save-freq", "40", "-tb", "tensorboard", "--verbose", "0", "-P"]
+    trained = zoo_process(tmp_path, "train", *which, "-n", "64", *asked, *small)
     first, second = (tmp_path / "logs" / algo / f"DynaForge-Can-v0_{k}" for k in (1, 2))
     policy = first / "policy.safetensors"
     assert f"--policy {policy.relative_to(tmp_path)}" in trained
@@ -225,6 +336,15 @@ def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     enjoyed = zoo_process(tmp_path, "enjoy", *which, "-n", "120", "--no-render", "--trusted")
     assert "Loading" in enjoyed
     assert "Episode" in enjoyed
+
+    record = ["--algo", algo, "--env", "DynaForge/Can-v0", "-n", "4", "--deterministic", "--trusted"]
+    zoo_process(tmp_path, "record_training", *record, "--exp-id", "2")  # finds logs by itself
+    assert (second / "videos" / "training.mp4").stat().st_size > 1000
+
+    zoo_process(tmp_path, "plot_train", "-a", algo, "-e", "DynaForge/Can-v0", "-f", "logs", "-y", "success", "-w", "2")
+    rows = (first / "0.monitor.csv").read_text().splitlines()
+    assert rows[1] == "r,l,t,is_success"
+    assert len(rows) > 2
 
     filmed = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "-n", "12", "-o", "films"]
     zoo_process(tmp_path, "record_video", *filmed, "--trusted")

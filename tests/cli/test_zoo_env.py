@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,8 @@ def test_statistics_of_a_run_are_not_unpickled_unasked(
     folder = Path(os.path.dirname(agent)) / "DynaForge-Can-v0"
     folder.mkdir(parents=True)
     (folder / "vecnormalize.pkl").touch()
+    if agent:
+        zipfile.ZipFile(agent, "w").close()
     which = ["train", "--algo", "ppo", "--env", "can", *(["-i", agent] if agent else [])]
     assert "can run code" in run(*which)
     assert not asked

@@ -1,0 +1,243 @@
+"""What is arranged for rl_zoo3 for as long as one of its scripts runs, and undone afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import functools
+import inspect
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from dynaforge.cli.zoo_checks import check_schedules
+from dynaforge.registration import ENV_NAMES, env_id
+
+ACTION_NOISE = ("noise_type", "noise_std")  # hyperparameters that rl_zoo3 turns into others after the check
+
+
+class ZooProcess:
+    """Puts our parts in the place of some of rl_zoo3's and Stable-Baselines3's, all of them undone by `close`.
+
+    Attributes:
+        learning: Whether a training or a search has begun: what fails before is a mistake in the command line.
+    """
+
+    def __init__(self, script: str, flags: list[str], *, own_envs: bool) -> None:
+        from rl_zoo3.exp_manager import ExperimentManager
+        from rl_zoo3.utils import StoreDict
+        from stable_baselines3.common.base_class import BaseAlgorithm
+
+        self.learning = False
+        self._script = script
+        self._made: list[Path] = []
+        self._envs: list[Any] = []
+        self._undo = contextlib.ExitStack()
+        self._put(sys, "argv", [f"dynaforge {script}", *flags])
+        self._wrap(BaseAlgorithm, "_update_current_progress_remaining", _never_below_zero)
+        self._wrap(StoreDict, "__call__", self._one_line_for_pairs)
+        manager = ExperimentManager
+        self._wrap(manager, "_preprocess_schedules", _reading_all_schedules, static=True)
+        self._wrap(manager, "_preprocess_hyperparams", _refusing_unknown_names)
+        self._wrap(manager, "create_log_folder", self._noting_folders)
+        self._wrap(manager, "create_envs", self._noting_envs)
+        self._wrap(manager, "_load_pretrained_agent", _saying_what_goes_on)
+        self._wrap(manager, "save_trained_model", _saving_the_policy)
+        for name in ("learn", "hyperparameters_optimization"):
+            self._wrap(manager, name, self._noting_the_start)
+        if own_envs and script == "train":
+            self._wrap(manager, "create_envs", _monitoring_success)
+        if script == "record_training":
+            self._put(subprocess, "call", _calling_our_recorder(subprocess.call))
+            self._undo.enter_context(_ffmpeg_on_path())
+
+    def put(self, name: str, value: Any) -> None:
+        """Put a value in the place of an attribute of rl_zoo3's manager."""
+        from rl_zoo3.exp_manager import ExperimentManager
+
+        self._put(ExperimentManager, name, value)
+
+    def clear(self) -> None:
+        """Close the envs and remove the folders of a run that did not begin."""
+        for env in self._envs:
+            env.close()
+        for path in self._made:
+            if path == self._made[0]:
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                with contextlib.suppress(OSError):  # others may have put something there meanwhile
+                    path.rmdir()
+
+    def close(self) -> None:
+        """Undo everything."""
+        self._undo.close()
+
+    def _put(self, owner: Any, name: str, value: Any) -> None:
+        previous = inspect.getattr_static(owner, name)
+        setattr(owner, name, value)
+        self._undo.callback(setattr, owner, name, previous)
+
+    def _wrap(self, owner: Any, name: str, wrapper: Callable[[Any], Any], *, static: bool = False) -> None:
+        function = getattr(owner, name)
+        wrapped = functools.wraps(function)(wrapper(function))
+        self._put(owner, name, staticmethod(wrapped) if static else wrapped)
+
+    def _noting_the_start(self, run: Callable[..., Any]) -> Callable[..., Any]:
+        def started(*args: Any, **kwargs: Any) -> Any:
+            self.learning = True
+            return run(*args, **kwargs)
+
+        return started
+
+    def _noting_folders(self, create: Callable[[Any], None]) -> Callable[[Any], None]:
+        def create_log_folder(manager: Any) -> None:
+            run = Path(manager.save_path)
+            self._made = [path for path in (run, *run.parents) if not path.exists()]
+            create(manager)
+
+        return create_log_folder
+
+    def _noting_envs(self, create: Callable[..., Any]) -> Callable[..., Any]:
+        def create_envs(manager: Any, *args: Any, **kwargs: Any) -> Any:
+            self._envs.append(create(manager, *args, **kwargs))
+            return self._envs[-1]
+
+        return create_envs
+
+    def _one_line_for_pairs(self, store: Callable[..., None]) -> Callable[..., None]:
+        def call(action: Any, parser: Any, namespace: Any, values: list[str], option_string: Any = None) -> None:
+            try:
+                if wrong := [pair for pair in values if not all(pair.partition(":")[::2])]:
+                    raise ValueError(f"{wrong[0]!r} is no pair")
+                store(action, parser, namespace, values, option_string)
+            except Exception as error:
+                raise SystemExit(
+                    f"dynaforge {self._script}: {option_string} {' '.join(values)}: {' '.join(str(error).split())}; "
+                    "write NAME:VALUE, the value as in Python, a word in quotes within quotes: \"policy:'MlpPolicy'\""
+                ) from error
+
+        return call
+
+
+def _never_below_zero(update: Callable[..., None]) -> Callable[..., None]:
+    """Keep the remaining progress at 0 or above: rl_zoo3's schedules go on to negative rates beyond it."""
+
+    def _update_current_progress_remaining(model: Any, num_timesteps: int, total_timesteps: int) -> None:
+        update(model, num_timesteps, total_timesteps)
+        model._current_progress_remaining = max(0.0, model._current_progress_remaining)
+
+    return _update_current_progress_remaining
+
+
+def _reading_all_schedules(read: Callable[[dict[str, Any]], dict[str, Any]]) -> Callable[[dict[str, Any]], Any]:
+    """Let "lin_0.28" mean for `clip_range_high` what it means for `clip_range`."""
+
+    def _preprocess_schedules(hyperparams: dict[str, Any]) -> dict[str, Any]:
+        check_schedules(hyperparams)
+        high = hyperparams.get("clip_range_high")
+        if isinstance(high, str):
+            hyperparams["clip_range_high"] = read({"clip_range": high})["clip_range"]
+        return read(hyperparams)
+
+    return _preprocess_schedules
+
+
+def _refusing_unknown_names(preprocess: Callable[[Any, dict[str, Any]], Any]) -> Callable[[Any, dict[str, Any]], Any]:
+    """Name a hyperparameter that the algorithm does not know, and the closest that it does."""
+
+    def _preprocess_hyperparams(manager: Any, hyperparams: dict[str, Any]) -> Any:
+        from rl_zoo3.utils import ALGOS
+
+        processed = preprocess(manager, hyperparams)
+        known = [*inspect.signature(ALGOS[manager.algo].__init__).parameters, *ACTION_NOISE]
+        if unknown := [name for name in processed[0] if name not in known]:
+            close = difflib.get_close_matches(unknown[0], known, n=1, cutoff=0.5)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise ValueError(f"{manager.algo} has no hyperparameter {unknown[0]!r}.{hint}")
+        return processed
+
+    return _preprocess_hyperparams
+
+
+def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
+    """Let monitor files say which episodes succeeded, for `plot_train -y success`."""
+
+    def create_envs(manager: Any, *args: Any, **kwargs: Any) -> Any:
+        manager.monitor_kwargs = {"info_keywords": ("is_success",)} | manager.monitor_kwargs
+        return create(manager, *args, **kwargs)
+
+    return create_envs
+
+
+def _saying_what_goes_on(load: Callable[..., Any]) -> Callable[..., Any]:
+    """Say what of the earlier run goes on: rl_zoo3 counts steps anew, and may find no statistics."""
+
+    def _load_pretrained_agent(manager: Any, *args: Any) -> Any:
+        model = load(manager, *args)
+        print(f"Going on from the weights of {manager.trained_agent}; steps and schedules begin anew.")
+        statistics = Path(manager.trained_agent).parent / str(manager.env_name) / "vecnormalize.pkl"
+        if manager.normalize and not statistics.exists():
+            print(f"There is no {statistics}: what observations are normalised by begins anew too.")
+        return model
+
+    return _load_pretrained_agent
+
+
+def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Let rl_zoo3's saving of a trained model write `policy.safetensors` too, where the env is a task's."""
+
+    def save_trained_model(manager: Any, model: Any) -> None:
+        save(manager, model)
+        task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
+        if task is None:
+            return
+        from dynaforge.cli.training import policy_file
+
+        try:
+            updates = model._n_updates // getattr(model, "n_epochs", 1)
+            policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
+        except ValueError as error:
+            print(f"No policy.safetensors: {error}")
+            return
+        path = Path(manager.save_path) / "policy.safetensors"
+        policy.save(path)
+        print(f"Policy for evaluate and collect: --policy {path}")
+
+    return save_trained_model
+
+
+def _calling_our_recorder(call: Callable[..., int]) -> Callable[..., int]:
+    """Let record_training start record_video with this interpreter and with our algorithm and envs."""
+    theirs = ["python", "-m", "rl_zoo3.record_video"]
+
+    def ours(command: Any, *args: Any, **kwargs: Any) -> int:
+        if isinstance(command, list) and command[:3] == theirs:
+            command = [sys.executable, "-m", "dynaforge.zoo", "record_video", "--trusted", *command[3:]]
+        return call(command, *args, **kwargs)
+
+    return ours
+
+
+@contextlib.contextmanager
+def _ffmpeg_on_path() -> Iterator[None]:
+    """Let `ffmpeg` be found, which record_training calls: the system's, else the one that imageio brings."""
+    if shutil.which("ffmpeg"):
+        yield
+        return
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError as error:
+        raise ValueError("record_training needs ffmpeg; pip install imageio-ffmpeg brings one") from error
+    before = os.environ["PATH"]
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "ffmpeg").symlink_to(get_ffmpeg_exe())
+        os.environ["PATH"] = os.pathsep.join((folder, before))
+        try:
+            yield
+        finally:
+            os.environ["PATH"] = before
