@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,17 +50,16 @@ def nonsense(kind: object) -> tuple[str, ...]:
     return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of cli/options.py
 
 
-def arguments_of(command: str) -> Iterator[argparse.Action]:
-    for action in COMMANDS[command].parser(command)._actions:
-        if action.nargs != 0:
-            yield action
+@cache
+def arguments_of(command: str) -> list[argparse.Action]:
+    return [action for action in COMMANDS[command].parser(command)._actions if action.nargs != 0]
 
 
 def line_with(command: str, action: argparse.Action, value: str) -> list[str]:
     """Return a command line that is good but for one value."""
     good = {"folder": ["demonstrations"], "format": ["--format", "lerobot"], "task": ["can"]}
     line = [command]
-    for other in COMMANDS[command].parser(command)._actions:
+    for other in arguments_of(command):
         if other.required and other.dest != action.dest:
             line += good[other.dest]
     n = action.nargs if isinstance(action.nargs, int) else 1
