@@ -11,8 +11,8 @@ from typing import Any
 
 import yaml
 
+from dynaforge.algos.options import LARGEST_SEED
 from dynaforge.algos.settings import entry_of
-from dynaforge.cli.options import SEEDS
 
 
 def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> None:
@@ -31,8 +31,8 @@ def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> N
     n = asked.n_timesteps
     if n is not None and n != -1 and n < 1:  # -1 is rl_zoo3's word for "as the hyperparameters say"
         raise ValueError(f"-n is {n}; it must be at least 1. Leave it out for the steps that the hyperparameters say")
-    if asked.seed is not None and not -1 <= asked.seed < SEEDS:  # and here for "draw one"
-        raise ValueError(f"--seed is {asked.seed}; it must be from 0 to {SEEDS - 1}, or -1 to have one drawn")
+    if asked.seed is not None and not -1 <= asked.seed <= LARGEST_SEED:  # and here for "draw one"
+        raise ValueError(f"--seed is {asked.seed}; it must be from 0 to {LARGEST_SEED}, or -1 to have one drawn")
     if asked.folder is not None and Path(asked.folder).exists() and not Path(asked.folder).is_dir():
         raise ValueError(f"-f {asked.folder} is a file; name a folder")
     agent = asked.trained_agent
