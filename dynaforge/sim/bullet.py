@@ -28,7 +28,8 @@ def _silent_stderr() -> Iterator[None]:
     """Point the descriptor of stderr elsewhere: on its import Bullet prints from C, below Python's streams.
 
     It is used for that one import, which Python runs once in a process: no two threads are ever in here. A process
-    without stderr has nothing to point elsewhere.
+    without stderr has nothing to point elsewhere. (C's own `stderr` is no way around the descriptor: libstdc++, if it
+    is loaded meanwhile, keeps what it then finds there for good.)
     """
     try:
         kept = os.dup(STDERR)

@@ -45,7 +45,8 @@ def test_a_process_without_a_terminal_can_import_the_simulator(closed: str, tmp_
     code = "import sys, dynaforge.sim.bullet as b; b.connect(); open(sys.argv[1], 'w').write(str(sys.stdout is None))"
     shell = f'"$0" -c "$1" "$2" {closed}'
     mark = tmp_path / "mark"
-    subprocess.run(["sh", "-c", shell, sys.executable, code, str(mark)], check=True, timeout=60)
+    command = ["sh", "-c", shell, sys.executable, code, str(mark)]
+    assert subprocess.run(command, check=True, timeout=60, capture_output=True, text=True).stderr == ""
     assert mark.read_text() == str(">&-" in closed.split())
 
 
