@@ -241,6 +241,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
         if not reset_num_timesteps and self._last_obs is None:
             # Below the wrappers: a resumed run must not count these observations in VecNormalize.
             self._last_obs = WrapperStack(self.env).base.reset()  # type: ignore[assignment]
+        if self._saved_state is not None:
+            self._saved_state.restore_normalisation(self.get_vec_normalize_env())
         prepared = super()._setup_learn(total_timesteps, callback, reset_num_timesteps, *args)
         if self._saved_state is not None and not reset_num_timesteps:
             self._saved_state.restore_torch(self.device)
@@ -382,7 +384,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
     ) -> None:
         """Save as SB3 does, but so that a kill leaves either the old file or the new one.
 
-        Random states are saved too. Inside an iteration (a callback's checkpoint) they and `num_timesteps` are those
+        Random states are saved too, and VecNormalize's statistics of observations, which the next `learn` of the loaded
+        model gives to its env. Inside an iteration (a callback's checkpoint) they and `num_timesteps` are those
         of its start: a resumed run repeats the iteration that was cut short, and so goes on bit for bit.
         """
         with self._as_of_iteration_start():
@@ -400,7 +403,8 @@ class FrontierGRPO(OnPolicyAlgorithm):
         return super()._excluded_save_params() + transient
 
     def _random_state(self) -> RandomState:
-        return RandomState.of((self.condition_rng, self.minibatch_rng), self.device, self.num_timesteps)
+        streams = (self.condition_rng, self.minibatch_rng)
+        return RandomState.of(streams, self.device, self.num_timesteps, self.get_vec_normalize_env())
 
     @contextmanager
     def _as_of_iteration_start(self) -> Iterator[None]:

@@ -39,8 +39,9 @@ def plain_mlp(model: BaseAlgorithm) -> tuple[Layers, str]:
 def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
     """Say what of the model a plain MLP would leave out; "" if nothing."""
     observation, action = policy.observation_space, policy.action_space
-    normalised = model.get_vec_normalize_env()
-    if normalised is not None and normalised.norm_obs:
+    normalised, loaded = model.get_vec_normalize_env(), getattr(model, "_saved_state", None)
+    carried = loaded is not None and loaded.normalisation is not None
+    if carried or (normalised is not None and normalised.norm_obs):
         return (
             "this one sees observations through VecNormalize: train without `normalize`, the env's are scaled already"
         )

@@ -15,6 +15,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.policy_file import MlpPolicyFile
 
 
 def test_saved_model_predicts_the_same(tmp_path):
@@ -65,6 +66,27 @@ def test_a_checkpoint_from_inside_an_iteration_repeats_it_bit_for_bit(tmp_path):
     assert resumed.num_timesteps == 96  # steps of whole iterations only
     resumed.learn(192, reset_num_timesteps=False)
     assert equal(weights(whole), weights(resumed))
+
+
+@pytest.mark.parametrize("at", [8, 40])
+def test_a_checkpoint_carries_the_statistics_of_observations(tmp_path, at):
+    def env():
+        return VecNormalize(envs(3), norm_reward=False)
+
+    options = {"learning_rate": 1e-2, "batch_size": 8, "group_filter": "mixed_return"}
+    whole = small(env(), **options).learn(288, callback=SaveAt(tmp_path / "m", at=at))
+    resumed = FrontierGRPO.load(tmp_path / "m", env=env(), device="cpu")
+    resumed.learn(288 - resumed.num_timesteps, reset_num_timesteps=False)
+    assert equal(weights(whole), weights(resumed))
+    np.testing.assert_array_equal(whole.env.obs_rms.mean, resumed.env.obs_rms.mean)
+    np.testing.assert_array_equal(whole.env.obs_rms.var, resumed.env.obs_rms.var)
+    assert whole.env.obs_rms.count == resumed.env.obs_rms.count
+
+    bare = FrontierGRPO.load(tmp_path / "m", env=envs(3), device="cpu")
+    with pytest.warns(UserWarning, match="has learned behind VecNormalize, and its env has none"):
+        bare.learn(1)
+    with pytest.raises(ValueError, match="VecNormalize"):
+        MlpPolicyFile.of(FrontierGRPO.load(tmp_path / "m", device="cpu"), task="can")
 
 
 def test_saving_does_not_disturb_training(tmp_path):
