@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from dynaforge.algos.settings import arms, known_algorithms
 from dynaforge.cli.options import (
@@ -167,11 +168,14 @@ def check_generators(options: argparse.Namespace) -> None:
 def check_collect(options: argparse.Namespace) -> None:
     """Refuse what no generator would use, and a folder of another task."""
     check_generators(options)
-    task = chosen_task(options).name
-    if (options.out / "dataset.json").is_file() and (held := DemonstrationDataset(options.out).task) != task:
-        raise ValueError(
-            f"--out {options.out} holds demonstrations of {held!r}, not of {task!r}. Choose another folder."
-        )
+    task, out = chosen_task(options).name, options.out or collecting_folder(options)
+    if (out / "dataset.json").is_file() and (held := DemonstrationDataset(out).task) != task:
+        raise ValueError(f"--out {out} holds demonstrations of {held!r}, not of {task!r}. Choose another folder.")
+
+
+def collecting_folder(options: argparse.Namespace) -> Path:
+    """Return where demonstrations are collected by default."""
+    return Path("data") / chosen_task(options).name
 
 
 def compare(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynaforge.cli import arguments, dataset_arguments
 from dynaforge.cli.forge_folder import default_folder
 from dynaforge.cli.options import Parser
-from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
+from dynaforge.cli.task_arguments import chosen_tasks
 
 
 def _nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
@@ -56,9 +56,9 @@ class Command:
             chosen_tasks(options)
         if "folder" in options:
             dataset_arguments.open_dataset(options)
+        self.check(options)
         if self.out is not None and options.out is None:
             options.out = parser.parse_args([f"--out={self.out(options)}", *arguments]).out
-        self.check(options)
         return options
 
 
@@ -92,7 +92,7 @@ COMMANDS = {
         ("collect --task can --demos 100", "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4"),
         add=arguments.collect,
         check=arguments.check_collect,
-        out=lambda options: Path("data") / chosen_task(options).name,
+        out=arguments.collecting_folder,
     ),
     "info": Command(
         "what a folder of demonstrations holds: rates, lengths, ranges, size",

@@ -141,7 +141,10 @@ def export(parser: argparse.ArgumentParser) -> None:
 
 
 def check_export(options: argparse.Namespace) -> None:
-    """Refuse options that contradict each other."""
+    """Refuse options that contradict each other, and a format without what it needs."""
+    seen = options.observations or options.folder / "observations"
+    if options.format == "dp3-zarr" and (options.no_observations or not (seen / "settings.json").is_file()):
+        raise ValueError(f"--format dp3-zarr needs point clouds: `dynaforge render {options.folder} --points 1024`.")
     if options.no_observations and options.observations:
         raise ValueError("--observations names what --no-observations leaves out; give one of the two.")
     if options.actions == "joint" and options.rotation != "quat_wxyz":

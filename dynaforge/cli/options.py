@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dynaforge.algos.options import LARGEST_SEED
 from dynaforge.envs.processes import usable_cores
 from dynaforge.sim.checks import close_match, shown
 
@@ -43,8 +44,7 @@ class Whole:
         return value
 
 
-SEED = Whole(0, 2**32 - 1)
-"""What numpy, torch and Gymnasium all take."""
+SEED = Whole(0, LARGEST_SEED)
 
 
 class Number:

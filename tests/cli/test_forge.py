@@ -5,6 +5,7 @@ import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,17 @@ from stable_baselines3.common.utils import FloatSchedule, LinearSchedule
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import training
+from dynaforge.cli import forge, training
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.forge_folder import ForgeFolder, asked_for
 from dynaforge.cli.main import main
 from dynaforge.cli.training import TimeLimit, build_model, hyperparameters
 from dynaforge.cli.zoo import config_file
-from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.evaluation import STRATA, TrainingHistory
+from dynaforge.generators import GaveUp, PlannerOnly
+from dynaforge.tasks import get_task
 
 
 @pytest.mark.timeout(170)
@@ -179,3 +182,20 @@ def test_forge_builds_the_model_that_train_builds(tmp_path: Path) -> None:
             assert mine == other, name
     for a, b in zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True):
         assert a.equal(b)
+
+
+def test_collecting_that_gets_nowhere_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = get_task("can")
+    condition = next(task.conditions.stream("train"))
+    lost = Attempt(condition, "residual", False, 1, "dropped", "lift", 1.0)
+
+    def give_up(*_: object, tell: Callable[[Attempt], None], **__: object) -> None:
+        tell(lost)
+        raise GaveUp("No success", [lost])
+
+    monkeypatch.setattr(forge, "collect", give_up)
+    dataset = forge._collect(task, PlannerOnly(), tmp_path / "demos", argparse.Namespace(demos=2, workers=1))
+    assert len(dataset) == 0
+    assert "only 0 successes in 1 attempts: dropped (1). Train longer" in capsys.readouterr().out
