@@ -91,7 +91,10 @@ def _rng(seed: int):
     ("text", "message"),
     [
         (None, "No task file"),
-        ("TASK = 1", "must define TASK"),
+        ("TASK = 1", "must define TASK, a Task: TASK is 1"),
+        (BALL.replace("TASK =", "BALL ="), "must define TASK, a Task: call BALL so"),
+        ("", "must define TASK, a Task: it has none"),
+        ("class Odd(BaseException): pass\nraise Odd('a\\nb')", r"mine_\w+\.py, line 2: Odd: a b$"),
         ("from dynaforge.tasks.can import TASK", "is that of a task of the package"),
         ("import numpy\nTASK = (1,\n", r"mine_\w+\.py, line 2: '\(' was never closed\.$"),
         ("import numpy\n\nTASK = numpy.zeroes(3)", r"mine_\w+\.py, line 3: AttributeError: .*zeroes"),

@@ -8,6 +8,7 @@ import warnings
 from pathlib import Path
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, register_task
+from dynaforge.sim.checks import shown
 from dynaforge.tasks.task import Task
 from dynaforge.tasks.user_code import module_of_file
 
@@ -23,9 +24,12 @@ def task_of_file(path: Path) -> Task:
     """
     if not path.is_file():
         raise ValueError(f"No task file {str(path)!r}.")
-    task = getattr(module_of_file(path), "TASK", None)
-    if not isinstance(task, Task) or task.conditions.task != task.name:
-        raise ValueError(f"{path} must define TASK, a Task whose conditions belong to it (ConditionSpace.task).")
+    module = module_of_file(path)
+    task = getattr(module, "TASK", None)
+    if not isinstance(task, Task):
+        others = [name for name, value in vars(module).items() if isinstance(value, Task)]
+        what = f"TASK is {shown(task)}" if task is not None else f"call {others[0]} so" if others else "it has none"
+        raise ValueError(f"{path} must define TASK, a Task: {what}.")
     _register(task, path)
     return task
 

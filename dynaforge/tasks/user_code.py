@@ -28,7 +28,9 @@ def module_of_file(path: Path) -> ModuleType:
     except SyntaxError as error:
         line = f", line {error.lineno}" if error.lineno else ""
         raise ValueError(f"{error.filename or path}{line}: {error.msg}.") from error
-    except (Exception, SystemExit) as error:  # a user's file may raise anything, and must not end the command
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's file may raise anything, and must not end the command
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         place = f"{path}, line {lines[-1]}" if lines else str(path)
         raise ValueError(f"{place}: {_in_one_line(error)}") from error

@@ -161,6 +161,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "negative hold": (lambda: track(hold=-0.1), ("Phase 'track': hold is -0.1", "at least 0")),
     "timeout": (lambda: track(timeout=0.0), ("Phase 'track': timeout is 0.0", "above 0")),
     "timeout nan": (lambda: track(timeout=NAN), ("Phase 'track': timeout is nan",)),
+    "endless": (lambda: track(timeout=math.inf), ("Phase 'track': timeout is inf",)),
     "timeout text": (lambda: track(timeout="2"), ("Phase 'track': timeout is '2'",)),
     "width": (lambda: track(width=0.085), ("Phase 'track': width is 0.085", "at most 0.08")),
     "share": (lambda: track(residual_share=0.0), ("Phase 'track': residual_share is 0.0", "above 0")),
