@@ -199,6 +199,7 @@ class EpisodeDispatcher:
         if self._obs is not None:
             put_rows(obs, ~worked, take_rows(self._obs, ~worked))
         self._obs = obs
+        self._stack.film()
         finished = [self._finish(i, raw, infos[i], bool(capped[i])) for i in np.flatnonzero(dones).tolist()]
         self._acting = worked & ~dones
         self._starting[:] = False

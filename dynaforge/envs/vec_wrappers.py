@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import (
     VecMonitor,
     VecNormalize,
     VecTransposeImage,
+    VecVideoRecorder,
 )
 
 Observations = np.ndarray[Any, Any] | dict[str, np.ndarray[Any, Any]]
@@ -48,7 +49,7 @@ class WrapperStack:
 
     Args:
         env: A VecEnv, wrapped or not. Known wrappers are VecNormalize, VecTransposeImage, VecExtractDictObs,
-            VecMonitor and VecCheckNan.
+            VecMonitor, VecCheckNan and VecVideoRecorder.
 
     Raises:
         ValueError: A wrapper whose effect on observations is not known.
@@ -60,7 +61,7 @@ class WrapperStack:
             self.wrappers.insert(0, env)
             env = env.venv
         self.base: VecEnv = env
-        known = (VecNormalize, VecTransposeImage, VecExtractDictObs, VecMonitor, VecCheckNan)
+        known = (VecNormalize, VecTransposeImage, VecExtractDictObs, VecMonitor, VecCheckNan, VecVideoRecorder)
         for wrapper in self.wrappers:
             if not isinstance(wrapper, known):
                 raise ValueError(
@@ -93,6 +94,16 @@ class WrapperStack:
             raw = _transform(wrapper, raw)
         return raw
 
+    def film(self) -> None:
+        """Let every VecVideoRecorder count a step and take its picture of it."""
+        for wrapper in self.wrappers:
+            if isinstance(wrapper, VecVideoRecorder):
+                venv, wrapper.venv = wrapper.venv, cast(VecEnv, _SteppedAlready)
+                try:
+                    wrapper.step_wait()
+                finally:
+                    wrapper.venv = venv
+
     def report_episode(self, episode: dict[str, Any], info: dict[str, Any]) -> None:
         """Let every VecMonitor note a finished episode; one that was cut off may lack what its env says at an end."""
         for wrapper in self.wrappers:
@@ -101,6 +112,14 @@ class WrapperStack:
                 if wrapper.results_writer:
                     told = {key: info.get(key, False if key == "is_success" else None) for key in wrapper.info_keywords}
                     wrapper.results_writer.write_row(episode | told)
+
+
+class _SteppedAlready:
+    """Stands for the VecEnv below a recorder, which the innermost one's own step has passed by."""
+
+    @staticmethod
+    def step_wait() -> tuple[None, None, None, None]:
+        return None, None, None, None
 
 
 def _transform(wrapper: VecEnvWrapper, obs: Observations) -> Observations:

@@ -80,6 +80,7 @@ class SharedMemoryVecEnv(VecEnv):
         try:
             self._share_memory()
             super().__init__(n_envs, *self._pool.spaces[0])
+            self.metadata = dict(self.get_attr("metadata", indices=[0])[0])  # VecVideoRecorder reads its render_fps
             self.metadata = self.get_attr("metadata", 0)[0]  # recorders read render_fps from it
         except BaseException:
             self._pool.close()

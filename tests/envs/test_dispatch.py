@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +16,7 @@ from stable_baselines3.common.vec_env import (
     VecMonitor,
     VecNormalize,
     VecTransposeImage,
+    VecVideoRecorder,
 )
 
 from dynaforge.envs.dispatch import EpisodeDispatcher
@@ -170,6 +172,29 @@ def test_monitors_count_whole_episodes_only():
     single = Monitor(CountingEnv())
     run(EpisodeDispatcher(DummyVecEnv([lambda: single])), jobs())
     assert single.get_episode_lengths() == LENGTHS
+
+
+class Filmed(CountingEnv):
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 7}
+    render_mode = "rgb_array"
+
+    def render(self):
+        return np.full((16, 16, 3), 20 * self.t, np.uint8)
+
+
+@pytest.mark.parametrize("make", [lambda: DummyVecEnv([Filmed]), lambda: SharedMemoryVecEnv([Filmed], n_workers=1)])
+def test_a_recorder_films_what_is_collected(make, tmp_path):
+    pytest.importorskip("moviepy")
+    env = VecVideoRecorder(make(), str(tmp_path), lambda step: step == 1, video_length=3)
+    assert env.frames_per_sec == 7
+    pictures = []
+    render = env.venv.render
+    env.venv.render = lambda *_: pictures.append(render()) or pictures[-1]
+    episodes, _ = run(EpisodeDispatcher(env), jobs([5]))
+    env.close()
+    assert episodes[0].length == 5
+    assert [int(picture[0, 0, 0]) for picture in pictures] == [0, 20, 40, 60]
+    assert (tmp_path / "rl-video-step-1-to-step-4.mp4").stat().st_size > 0
 
 
 def test_a_wrapper_with_state_of_its_own_is_refused():
