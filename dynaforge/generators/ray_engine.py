@@ -14,6 +14,7 @@ from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_on
 from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+from dynaforge.tasks.task_file import VARIABLE
 
 PATIENCE = 300.0  # seconds without any actor that is up, after which the run ends
 AHEAD = 2  # attempts handed to an actor, so that it never waits for the next
@@ -93,7 +94,8 @@ class _Crew:
     def __init__(self, ray: Any, task: Task, generator: Generator, size: int) -> None:
         self.running: deque[_Attempt] = deque()
         self._ray, self._name = ray, generator.name
-        make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": SINGLE_THREAD})(_Attempter)
+        inherited = SINGLE_THREAD | {VARIABLE: os.environ.get(VARIABLE, "")}  # a task of one's own needs its module
+        make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": inherited})(_Attempter)
         self._make: Callable[[], Any] = lambda: make.remote(task, generator)
         self._actors: list[Any] = [None] * size
         self._starting: dict[int, Any] = {}
