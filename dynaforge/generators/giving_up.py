@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from typing import Any
 
 from dynaforge.demos import Attempt
@@ -44,8 +44,12 @@ def describe_counts(reasons: Counter[str], *, n: int = 3, longest: int = 160) ->
     return ", ".join(texts) or "no attempt failed"
 
 
-def unless_all_raise(results: Iterable[Result], *, generator: str) -> Iterator[Result]:
+def unless_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[Result]:
     """Pass results on; a generator that only raises has no success rate, not even 0 %.
+
+    Args:
+        results: Of an engine; closed, with its workers, when that many are enough.
+        generator: What attempts.
 
     Raises:
         GaveUp: None of the first attempts, `ENOUGH` or all there are, left an episode.
@@ -57,6 +61,8 @@ def unless_all_raise(results: Iterable[Result], *, generator: str) -> Iterator[R
         if not left_any:
             nothing.append(result.attempt)
             if len(nothing) == ENOUGH:
+                if isinstance(results, Generator):
+                    results.close()
                 break
         yield result
     if nothing and not left_any:
