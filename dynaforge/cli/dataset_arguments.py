@@ -163,3 +163,4 @@ def verify(parser: argparse.ArgumentParser) -> None:
         "--audit", action="store_true",
         help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
     )  # fmt: skip
+    add_workers(parser)

@@ -67,13 +67,14 @@ def _flag(broken: NDArray[np.bool_], what: str, measured: Array) -> Iterator[Fla
 
 def _objects(episode: Episode) -> Iterator[Flag]:
     steps, dt = episode.steps, np.diff(episode.steps["time"])
-    hand = steps["ee_position"]
+    hand = steps.get("ee_position")
     for key in steps:
         kind, _, rest = key.partition("/")
-        if kind != "object" or not rest.endswith("/position"):
-            continue
         name = rest.removesuffix("/position")
-        place, velocity = steps[key], steps[f"object/{name}/velocity"]
+        velocity = steps.get(f"object/{name}/velocity")
+        if kind != "object" or not rest.endswith("/position") or hand is None or velocity is None:
+            continue
+        place = steps[key]
         speed = np.linalg.norm(velocity, axis=1)
         away = np.linalg.norm(place - hand, axis=1)
         near = np.minimum(away[1:], away[:-1]) < FAR
@@ -101,13 +102,14 @@ def _far_from(episode: Episode, place: Array, kinds: tuple[str, ...]) -> NDArray
 def _arm(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
     steps = episode.steps
     dt = np.diff(steps["time"])[:, None]
-    q = steps["q"]
-    beyond = np.maximum(robot.q_lower - q, q - robot.q_upper).max(axis=1)
-    yield from _flag(beyond > SLACK, "a joint is {:.3f} rad beyond its limit", beyond)
+    if "q" in steps:
+        q = steps["q"]
+        beyond = np.maximum(robot.q_lower - q, q - robot.q_upper).max(axis=1)
+        yield from _flag(beyond > SLACK, "a joint is {:.3f} rad beyond its limit", beyond)
     if "dq" in steps:
         share = (np.abs(steps["dq"]) / robot.dq_max).max(axis=1)
         yield from _flag(share > robot.stop_speed, "a joint moves at {:.2f} of its speed limit", share)
-    if "width" in steps:
+    if "width" in steps and "ee_position" in steps:
         speed = np.abs(np.diff(steps["width"])) / dt[:, 0]
         too_fast = (speed > 2.0 * robot.finger_speed_max * 1.05) & _hand_alone(episode)
         yield from _flag(too_fast, "the hand opens or closes at {:.3f} m/s", speed)

@@ -131,7 +131,10 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         return arrays
     if "time" not in arrays:
         raise ValueError("Steps need 'time', the simulated seconds of each control step.")
-    gaps = np.diff(arrays["time"], prepend=0.0)
+    if not len(arrays["time"]):
+        raise ValueError("Steps hold no control step; an attempt without any has no steps at all.")
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        gaps = np.diff(arrays["time"], prepend=0.0)
     if not (np.all(gaps[1:] > 0.0) and np.all(np.abs(gaps) < LONGEST_STEP)):
         raise ValueError(f"Step quantity 'time' must increase from step to step, by less than {LONGEST_STEP:g} s.")
     return arrays

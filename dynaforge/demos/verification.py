@@ -182,10 +182,16 @@ class EpisodeVerifier:
         yield from contradictions(episode, self._task, self._kinematics)
 
     def _wrong_physics(self, episode: Episode) -> Iterator[str]:
-        found = differences(episode, self._again(episode)) if self._again is not None else []
-        yield from (f"{problem}{_versions(episode)}" for problem in found)
-        if self._replayer is None or (self._again is not None and not found):
-            return  # an attempt that repeats to the bit has repeated its physics
+        if self._again is not None:
+            try:
+                found = differences(episode, self._again(episode))
+            except ValueError as error:
+                found = [str(error)]
+            yield from (f"{problem}{_versions(episode)}" for problem in found)
+            if not found:
+                return  # an attempt that repeats to the bit has repeated its physics
+        if self._replayer is None:
+            return
         replay = self._replayer.replay(episode)
         if replay.divergence is not None:
             yield f"its replay leaves the recording: {replay.divergence}{_versions(episode)}"

@@ -24,6 +24,7 @@ SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_T
 # that this one tells ours from a user's.
 SAFE_PATH, OURS = "PYTHONSAFEPATH", "dynaforge"
 PARENT_GONE_GRACE = 1.0  # s
+OPEN_FILES = 32  # that a pool, the libraries and what is being written need beside the workers' own
 NO_SHARED_MEMORY = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.ENOSPC, errno.ENOSYS)
 GUARD = "if __name__ == '__main__':"
 
@@ -151,7 +152,7 @@ def end_after(sentinel: int) -> None:
 
 
 def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> ProcessPoolExecutor:
-    """Make a pool of workers that each begin with `start(*arguments)`.
+    """Make a pool of workers that each begin with `start(*arguments)`, of fewer where few files may be open.
 
     Both are sent by value where they come from the main script, so that code from a notebook or stdin works.
 
@@ -161,6 +162,7 @@ def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> Pr
     import cloudpickle
 
     context, begin = worker_context(), cloudpickle.dumps((start, arguments))
+    workers = min(workers, affordable_workers())
     try:
         return ProcessPoolExecutor(workers, mp_context=context, initializer=_begin_in_pool, initargs=(begin,))
     except OSError as error:
@@ -170,6 +172,26 @@ def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> Pr
             f"Worker processes need semaphores, which lie in shared memory, and /dev/shm refuses them: "
             f"{error.strerror}. Make it writable; in a container start it with --shm-size=64m or --tmpfs /dev/shm"
         ) from error
+
+
+def kill_pool(pool: ProcessPoolExecutor) -> None:
+    """End a pool and its workers now, whatever they are doing."""
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join(2.0)
+
+
+def affordable_workers() -> int:
+    """Count the workers of a pool for which this process may open enough files, two each."""
+    try:
+        import resource
+    except ImportError:  # on Windows
+        return sys.maxsize
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return sys.maxsize if limit == resource.RLIM_INFINITY else max(1, (limit - OPEN_FILES) // 2)
 
 
 def _begin_in_pool(pickled: bytes) -> None:

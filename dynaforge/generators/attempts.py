@@ -11,7 +11,7 @@ from itertools import islice
 from typing import Any
 
 from dynaforge.demos import Attempt, Episode
-from dynaforge.envs.processes import guard_hint, usable_cores, worker_pool
+from dynaforge.envs.processes import guard_hint, kill_pool, usable_cores, worker_pool
 from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -102,7 +102,7 @@ class _Crew:
         return result
 
     def kill(self) -> None:
-        _kill(self._pool)
+        kill_pool(self._pool)
 
     def _make(self, size: int) -> ProcessPoolExecutor:
         return worker_pool(size, _start, self._task, self._generator)
@@ -118,19 +118,10 @@ class _Crew:
         except (BrokenProcessPool, TimeoutError) as error:
             return self._lost(condition, type(error).__name__)
         finally:
-            _kill(pool)
+            kill_pool(pool)
 
     def _lost(self, condition: Condition, why: str) -> Result:
         return lost(condition, self._generator.name, f"worker lost: {why}")
-
-
-def _kill(pool: ProcessPoolExecutor) -> None:
-    processes = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join(2.0)
 
 
 def _start(task: Task, generator: Generator) -> None:

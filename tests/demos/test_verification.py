@@ -227,7 +227,7 @@ def real(tmp_path: Path) -> DemonstrationDataset:
 
 def test_verify_ends_with_0_or_1(real: DemonstrationDataset, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(real.path), "--replay", "--audit"]) == 0
-    assert "3 episodes read and simulated again, 3 attempts in the ledger: no problems" in capsys.readouterr().out
+    assert "3 episodes read and made again, 3 attempts in the ledger: no problems" in capsys.readouterr().out
     flip(real.file_of(real.ids()[0]), np.random.default_rng(3))
     assert main(["verify", str(real.path)]) == 1
     assert real.ids()[0] in capsys.readouterr().out
