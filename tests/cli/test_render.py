@@ -56,6 +56,33 @@ def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert stored["intrinsics"][2] == [0.0, 0.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{", "{}", "[]", "[3]", '{"name": "top"}', '[{"name": "top"}]', "[" * 10_000, "\xff",
+        '[{"name": "top", "eye": ["x", 0, 1], "look_at": [0, 0, 0]}]',
+        '[{"name": "top", "eye": [NaN, 0, 1], "look_at": [0, 0, 0]}]',
+        '[{"name": "top", "eye": [0, 0, 1], "look_at": [0, 0, 1]}]',
+        '[{"name": "top", "eye": [0, 0, 1], "look_at": [0, 0, 0]}]',
+        '[{"name": "top", "eye": [1, 0, 1], "look_at": [0, 0, 0], "size": [100000, 100000]}]',
+        '[{"name": "../top", "eye": [1, 0, 1], "look_at": [0, 0, 0]}]',
+        '[{"name": "other", "eye": [1, 0, 1], "look_at": [0, 0, 0]}]',
+        json.dumps(2 * [{"name": "a", "eye": [1, 0, 1], "look_at": [0, 0, 0]}]),
+    ],
+)  # fmt: skip
+def test_cameras_that_are_none_are_refused_and_leave_no_folder(
+    data: Path, tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(text, encoding="latin-1")
+    command = ["render", str(data), "--out", str(tmp_path / "seen"), "--cameras", "front", "--workers", "1"]
+    assert main([*command, "--camera-file", str(cameras)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"--camera-file {cameras}: " in said
+    assert not (tmp_path / "seen").exists()
+
+
 def test_what_cannot_be_written_ends_it_at_once(data: Path, tmp_path: Path) -> None:
     """Stands for a full disk: no file may be longer than 40 kB."""
     command = ["render", str(data), "--out", str(tmp_path / "seen"), "--workers", "1"]
