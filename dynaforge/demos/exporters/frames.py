@@ -224,7 +224,7 @@ def robot_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
 def object_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
     """Return what an export says of objects and fixtures, likewise."""
     objects = {}
-    for key, values in steps.items():
+    for key, values in sorted(steps.items()):  # the order of `object_state`
         kind, _, rest = key.partition("/")
         if kind in ("object", "fixture"):
             name, column = rest.replace("/", "_"), np.asarray(values)

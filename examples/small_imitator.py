@@ -1,0 +1,128 @@
+"""Learn a small network from demonstrations, and measure it in the task's env.
+
+    dynaforge collect --task can --demos 200
+    python examples/small_imitator.py data/can
+    dynaforge evaluate --task can --learner examples/small_imitator.py:load --seeds 1 --attempts 60
+
+The network sees one control step and answers with the joint targets of the next 16, of which 4 are taken before it
+looks again: one step at a time it would copy how slowly the hand moves and never begin.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch as th
+from numpy.typing import NDArray
+from safetensors.torch import load_file, save_file
+from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from tqdm import trange
+
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.exporters import read_frames
+from dynaforge.tasks.action import ActionLayout
+
+AHEAD, TAKEN = 16, 4  # control steps answered, and taken before the next look
+WEIGHTS = Path("runs/small-imitator")
+
+
+def inputs(observation: Mapping[str, NDArray[np.float32]], step: float) -> NDArray[np.float32]:
+    """What the network sees: robot, objects, how far the hand is from each of them, and the time."""
+    hand = observation["ee_position"]
+    apart = [value - hand for name, value in sorted(observation.items()) if name.endswith("_position")]
+    return np.concatenate([observation["state"], observation["dq"], observation["object_state"], *apart, [step / 100]])
+
+
+def network(n_inputs: int, n_outputs: int) -> nn.Sequential:
+    """Three hidden layers; inputs and outputs are brought to unit size by its first and last layers."""
+    hidden = [layer for n in (256, 256) for layer in (nn.Linear(256, n), nn.SiLU())]
+    scale_in, scale_out = nn.Linear(n_inputs, n_inputs), nn.Linear(n_outputs, n_outputs)
+    for fixed in (scale_in, scale_out):
+        fixed.requires_grad_(False)
+    return nn.Sequential(scale_in, nn.Linear(n_inputs, 256), nn.SiLU(), *hidden, nn.Linear(256, n_outputs), scale_out)
+
+
+def samples(folder: Path) -> tuple[th.Tensor, th.Tensor]:
+    """Every control step of every success: what is seen, and where the joints go from where they are."""
+    seen, asked = [], []
+    for frames in read_frames(DemonstrationDataset(folder), fps=30, actions="joint"):
+        columns = frames.robot | frames.objects | {"state": frames.state, "object_state": frames.object_state}
+        for k in range(len(frames)):
+            seen.append(inputs({name: column[k] for name, column in columns.items()}, k))
+            chunk = frames.actions[np.minimum(np.arange(k, k + AHEAD), len(frames) - 1)].copy()
+            chunk[:, :7] -= frames.robot["q"][k]
+            asked.append(chunk.ravel())
+    return th.tensor(np.array(seen), dtype=th.float32), th.tensor(np.array(asked), dtype=th.float32)
+
+
+def train(folder: Path, updates: int, seed: int) -> nn.Module:
+    """Regress, and keep the moving average of the weights."""
+    th.set_num_threads(1)
+    th.manual_seed(seed)
+    seen, asked = samples(folder)
+    net = network(seen.shape[1], asked.shape[1])
+    with th.no_grad():
+        for layer, data, inverse in ((net[0], seen, True), (net[-1], asked, False)):
+            size, middle = data.std(0) + 1e-3, data.mean(0)
+            layer.weight.copy_(th.diag(1 / size if inverse else size))
+            layer.bias.copy_(-middle / size if inverse else middle)
+    optimizer = th.optim.AdamW([p for p in net.parameters() if p.requires_grad], lr=2e-3, weight_decay=1e-4)
+    schedule = th.optim.lr_scheduler.OneCycleLR(optimizer, 2e-3, updates)
+    average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(0.995))
+    size = asked.std(0) + 1e-3
+    for _ in (bar := trange(updates)):
+        rows = th.randint(len(seen), (256,))
+        loss = (((net(seen[rows]) - asked[rows]) / size) ** 2).mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        average.update_parameters(net)
+        bar.set_postfix_str(f"loss {loss.item():.4f}", refresh=False)
+    return average.module
+
+
+class SmallImitator:
+    """Acts in the terms of an export with joint actions (`dynaforge.generators.learner.Learner`)."""
+
+    layout = ActionLayout("joint")
+
+    def __init__(self, weights: Path) -> None:
+        state = load_file(weights)
+        self.net = network(len(state["0.bias"]), len(next(reversed(state.values()))))
+        self.net.load_state_dict(state)
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.step, self.chunk = 0, np.empty((0, 8))
+
+    def __call__(self, observation: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Return the joint targets and the width of this control step."""
+        if not len(self.chunk):
+            with th.no_grad():
+                answer = self.net(th.tensor(inputs(observation, self.step), dtype=th.float32))
+            self.chunk = answer.numpy().reshape(AHEAD, 8)[:TAKEN]
+            self.chunk[:, :7] += observation["q"]
+        self.step += 1
+        action, self.chunk = self.chunk[0], self.chunk[1:]
+        return action
+
+
+def load(task: str) -> SmallImitator:
+    """Load what was trained for a task."""
+    return SmallImitator(WEIGHTS / f"{task}.safetensors")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="of `dynaforge collect`")
+    parser.add_argument("--updates", type=int, default=6000)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    trained = train(options.folder, options.updates, options.seed)
+    WEIGHTS.mkdir(parents=True, exist_ok=True)
+    save_file(trained.state_dict(), WEIGHTS / f"{DemonstrationDataset(options.folder).task}.safetensors")
