@@ -92,7 +92,7 @@ def test_the_checkpoint_of_a_stranger_springs_where_it_is_loaded(tmp_path: Path,
     assert canary.exists()
 
 
-@pytest.mark.parametrize("script", ["enjoy", "record_video", "train"])
+@pytest.mark.parametrize("script", ["enjoy", "record_video", "record_training", "train"])
 def test_rl_zoo3_loads_nothing_of_a_log_folder_unasked(
     tmp_path: Path, canary: Path, script: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,7 +126,7 @@ def test_workers_of_rl_zoo3_import_nothing_of_the_current_folder(tmp_path: Path,
 
 
 def test_a_comparison_goes_on_from_no_pickle(tmp_path: Path, canary: Path) -> None:
-    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 8}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 1, "n_steps": 512}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
     checkpoint(spec.folder / runs.CHECKPOINT, canary)
     with pytest.raises(ValueError, match="is no checkpoint of this run"):
         runs.perform(spec)

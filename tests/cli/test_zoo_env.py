@@ -25,7 +25,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("script", ["train", "enjoy", "record_video"])
+@pytest.mark.parametrize("script", ["train", "enjoy", "record_video", "record_training"])
 @pytest.mark.parametrize(
     ("given", "env"),
     [
@@ -113,7 +113,7 @@ def test_the_zoo_trains_plays_and_films_a_task_of_ones_own(ball: Path) -> None:
     for workers in ([], ["--vec-env", "subproc"]):
         zoo_process(ball.parent, "train", *which, *small, *workers)
     run_folder = ball.parent / "logs" / "frontier_grpo" / "DynaForge-Ball-v0_2"
-    assert MlpPolicyFile.load(run_folder / "policy.safetensors").task == "ball"
+    assert MlpPolicyFile.load(run_folder / "policy.safetensors", task=str(ball)).task == "ball"
     assert "Loading" in zoo_process(ball.parent, "enjoy", *which, "-n", "20", "--no-render", "--trusted")
     zoo_process(ball.parent, "record_video", *which, "-n", "4", "-o", "films", "--trusted")
     assert list((ball.parent / "films").glob("*.mp4"))
