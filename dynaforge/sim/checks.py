@@ -28,7 +28,8 @@ _SPELLING.maxstring = _SPELLING.maxother = _SPELLING.maxlong = 80
 def shown(value: Any) -> str:
     """Spell a value out for a message, on one line and cut short."""
     try:
-        return " ".join(_SPELLING.repr(value).split())
+        text = " ".join(_SPELLING.repr(value).split())
+        return re.sub(r" at 0x[0-9a-f]+", "", text)  # which differs from process to process
     except ValueError:  # Python spells out no whole number of more than 4300 digits
         return f"a very large {type(value).__name__}"
 

@@ -109,12 +109,18 @@ def check_word(place: str, role: str, word: object, names: tuple[str, ...]) -> N
                 raise ValueError(unknown(place, f"speaks of {shown(value)} in {role}, {shown(part)}", value, names))
 
 
-def _parts(word: object) -> Iterator[object]:
-    """Iterate over a word and all words that it is composed of."""
+def _parts(word: object, above: tuple[object, ...] = ()) -> Iterator[object]:
+    """Iterate over the dataclasses among a word and all that it is composed of; `above` is what it is part of."""
+    if any(word is other for other in above):
+        return
     if isinstance(word, (tuple, list)):
-        for item in word:
-            yield from _parts(item)
-    elif is_dataclass(word) and not isinstance(word, type):
+        inside = list(word)
+    elif isinstance(word, type):
+        inside = []
+    elif is_dataclass(word):
         yield word
-        for field in fields(word):
-            yield from _parts(getattr(word, field.name))
+        inside = [getattr(word, field.name) for field in fields(word)]
+    else:
+        inside = list(vars(word).values()) if callable(word) and hasattr(word, "__dict__") else []
+    for item in inside:
+        yield from _parts(item, (*above, word))
