@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     def frames() -> Iterator[Frames]:
         for episode in tqdm(found, total=len(dataset), leave=False, unit="episode"):
             kept.append(Exported.of(episode.episode))
-            contents.update(_contents(task, episode))
+            contents.update(_contents(task, episode, options.format))
             if episode.success:
                 won.append(Played(episode.layout, episode.episode.condition, episode.actions))
             yield episode
@@ -95,10 +95,10 @@ def _play(task: Task, won: list[Played], n: int) -> str:
     return f"given to {env}, the actions of {sum(share)} of {len(sample)} sampled successes succeed again"
 
 
-def _contents(task: Task, episode: Frames) -> dict[str, str]:
+def _contents(task: Task, episode: Frames, layout: str) -> dict[str, str]:
     """Say what each step holds, for the card."""
     seen = [*episode.images, *(f"depth of {camera}" for camera in episode.depths)]
-    seen += ["points"] if episode.points is not None else []
+    seen += ["points"] if episode.points is not None and layout != "lerobot" else []
     arguments = ", ".join(f"{name}={value!r}" for name, value in episode.env_arguments.items())
     return {
         "actions": ", ".join(episode.action_names),

@@ -228,7 +228,7 @@ def _columns(episode: Frames, at: _Writer) -> dict[str, NDArray[Any]]:
         "episode_index": np.full(n, at.episodes),
         "index": at.frames + steps,
         "task_index": np.zeros(n, dtype=np.int64),
-        "subtask_index": np.where(episode.phase < 0, at.n_phases, episode.phase),
+        "subtask_index": np.where((episode.phase < 0) | (episode.phase > at.n_phases), at.n_phases, episode.phase),
     }
     return columns | ({_truth(episode): episode.object_state} if episode.privileged else {})
 
