@@ -8,14 +8,14 @@ from pathlib import Path
 
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.demos import atomic_write
-from dynaforge.registration import env_id
-from dynaforge.tasks import TASK_NAMES, Task, get_task
+from dynaforge.registration import ENV_NAMES, env_id
+from dynaforge.tasks import Task, get_task
 
 
 def run(options: argparse.Namespace) -> int:
     """Print one task, or all of them a line each; with `--out`, write pages and pictures."""
     if "task" not in options:
-        for name in TASK_NAMES:
+        for name in ENV_NAMES:
             task = get_task(name)
             print(f"{name:<12} {env_id(name):<24} {task.skill:<16} {task.goal}")
         return 0

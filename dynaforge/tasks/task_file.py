@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import sys
 import warnings
 from pathlib import Path
+from types import ModuleType
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, register_task
 from dynaforge.sim.checks import shown
@@ -23,15 +25,31 @@ def task_of_file(path: Path) -> Task:
         ValueError: There is no such file, it cannot be run, defines no task, or takes a name that is taken.
     """
     if not path.is_file():
-        raise ValueError(f"No task file {str(path)!r}.")
+        raise ValueError(f"No task file {str(path)!r}.{_hint(path)}")
     module = module_of_file(path)
+    try:
+        task = _task_in(module, path)
+        _register(task, path)
+    except ValueError:
+        del sys.modules[module.__name__]  # so that the file is read again once it is mended
+        raise
+    return task
+
+
+def _task_in(module: ModuleType, path: Path) -> Task:
     task = getattr(module, "TASK", None)
     if not isinstance(task, Task):
         others = [name for name, value in vars(module).items() if isinstance(value, Task)]
         what = f"TASK is {shown(task)}" if task is not None else f"call {others[0]} so" if others else "it has none"
         raise ValueError(f"{path} must define TASK, a Task: {what}.")
-    _register(task, path)
     return task
+
+
+def _hint(path: Path) -> str:
+    """Name a file beside the missing one that may have been meant, or the task of the package."""
+    there = [other.name for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
+    close = difflib.get_close_matches(path.name, there, n=1) or difflib.get_close_matches(path.stem, ENV_NAMES, n=1)
+    return f" Did you mean {close[0]!r}?" if close else ""
 
 
 def register_listed_files() -> None:

@@ -115,3 +115,9 @@ def test_compare_takes_a_task_of_ones_own_in_every_arm(balls: Path, named: tuple
     assert len(by_file) == 1 + len(named)
     assert by_file == by_id
     assert {RunSpec.from_json(spec.to_json()).identity()["task"] for spec in by_file} == {"ball"}
+
+
+def test_the_list_of_tasks_holds_those_that_are_known(balls: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    get_task("ball.py")
+    assert main(["list"]) == 0
+    assert "DynaForge/Ball-v0" in capsys.readouterr().out

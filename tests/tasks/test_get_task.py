@@ -36,6 +36,8 @@ def test_a_file_its_name_and_its_ids_are_one_task(ball: Path) -> None:
         ("DynaForge/Cann-v0", "Did you mean 'DynaForge/Can-v0'?"),
         ("dynaforge:DynaForge/PaechTask-v0", "Did you mean 'DynaForge/PeachTask-v0'?"),
         ("zebra", "Known are can, bottle"),
+        ("bal.py", "Did you mean 'ball.py'?"),
+        ("peach.py", "Did you mean 'peach'?"),
         ("ball", "If you mean the task of ball.py, give that file in its place."),
         ("DynaForge/BallTask-v0", "If you mean the task of ball.py, give that file in its place."),
     ],
@@ -62,6 +64,7 @@ def test_a_file_takes_no_name_or_id_of_another_task(ball: Path) -> None:
         ball.with_name(name).write_text(changed)
         with pytest.raises(ValueError, match=message):
             get_task(str(ball.with_name(name)))
+        assert name.removesuffix(".py") not in sys.modules, "once mended, it is read again"
     assert gymnasium.spec("DynaForge/CanTask-v0").kwargs == {"task": "can"}
 
 
