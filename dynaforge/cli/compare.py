@@ -18,6 +18,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from dynaforge.algos.options import check_whole
 from dynaforge.algos.settings import arms
 from dynaforge.cli import training
 from dynaforge.cli.forge_folder import make_folder
@@ -105,17 +106,20 @@ def _parsed(value: str) -> Any:
 
 
 def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
-    """Build the model once.
+    """Build the model once, on a single env.
 
     Raises:
-        ValueError: A setting that the algorithm does not know or refuses.
+        ValueError: A setting that the algorithm does not know or refuses, or a number of envs that is none.
     """
     import gymnasium as gym
 
+    if "n_timesteps" in changes:
+        raise ValueError("n_timesteps is what --steps says, for all arms alike")
     env = gym.make(env_id(task))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PPO's batch does not suit a single env
+            check_whole("n_envs", changes.get("n_envs", 1), 1, "episodes run in them")
             training.build_model(task, env, algo=algo, **changes)
     except (TypeError, AssertionError) as error:  # SB3 asserts that a schedule is one
         raise ValueError(f"{algo} with {changes}: {str(error).rstrip('.')}.") from error

@@ -55,6 +55,9 @@ def test_a_setting_may_be_varied(tmp_path: Path) -> None:
         (["--algos", "ppo", "--vary", "learning_rate", "NaN"], "--vary: 'NaN' is no finite number"),
         (["--algos", "ppo", "--report-only"], "--report-only finds nothing finished"),
         (["--vary", "group_size"], "--vary group_size names no values"),
+        (["--algos", "grpo", "--vary", "n_envs", "0"], "n_envs is 0, but must be at least 1"),
+        (["--algos", "grpo", "--vary", "n_timesteps", "10"], "n_timesteps is what --steps says"),
+        (["--algos", "grpo", "--vary", "learning_rate", "fast"], "learning_rate is 'fast', but must be a number"),
     ],
 )
 def test_mistakes_are_said_before_any_run(
