@@ -36,6 +36,8 @@ def contradictions(episode: Episode, task: Task, kinematics: ArmKinematics) -> I
         yield from _residual(episode.steps, task)
         yield from _request(episode.steps)
         yield from _projection(episode.steps, task, kinematics)
+        if is_planned(episode):
+            yield from _speeds(episode.steps, task, kinematics)
         yield from _hand(episode.steps, kinematics)
         yield from _contact(episode, task)
 
@@ -51,15 +53,22 @@ def _has(steps: Steps, *names: str) -> bool:
     return all(name in steps for name in names)
 
 
+def is_planned(episode: Episode) -> bool:
+    """Tell whether an episode ran a phase program; one that a learned policy acted out alone knows no phases."""
+    return episode.phase != "" or bool({"phase", "gate", "planner_action"} & set(episode.steps))
+
+
 def _outcome(episode: Episode, task: Task) -> Iterator[str]:
     names = [phase.name for phase in task.phases]
-    if episode.phase not in names:
-        yield f"it ends in phase {episode.phase!r}, which the task does not have"
-        return
-    last = names.index(episode.phase)
+    last = 0
+    if is_planned(episode):
+        if episode.phase not in names:
+            yield f"it ends in phase {episode.phase!r}, which the task does not have"
+            return
+        last = names.index(episode.phase)
+        if episode.success and last != len(names) - 1:
+            yield f"it succeeds in phase {episode.phase!r}, which is not the last"
     reached = len(names) if episode.success else last
-    if episode.success and last != len(names) - 1:
-        yield f"it succeeds in phase {episode.phase!r}, which is not the last"
     if episode.checkpoint != reached:
         yield f"its checkpoint is {episode.checkpoint}, where its phase {episode.phase!r} makes it {reached}"
     rewards = episode.steps.get("reward")
@@ -139,7 +148,7 @@ def _turned(a: Array, b: Array) -> Array:
 
 
 def _projection(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
-    """Check that the projected action is the joint and width reference, and that references and speeds fit."""
+    """Check that the projected action is the joint and width reference, and that the fingers can follow."""
     if _has(steps, "projected_action", "joint_reference") and steps["projected_action"].shape[1] == 8:
         action = steps["projected_action"]
         position, quat = _forward(steps["joint_reference"], kinematics)
@@ -154,6 +163,11 @@ def _projection(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator
         wrong = np.abs(np.diff(width)) > 2.0 * robot.finger_speed_max * dt + EXACT
         wrong |= (width[1:] < 0.0) | (width[1:] > robot.width_max)
         yield from _first(wrong, "width_reference is no way that the fingers can go")
+
+
+def _speeds(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
+    """Check that references and their speeds fit, as they do where the planner moves the arm."""
+    robot, dt = kinematics.robot, task.scene.control_dt
     if _has(steps, "joint_reference", "joint_velocity_reference"):
         q = np.vstack((robot.q_ready, steps["joint_reference"]))
         dq = np.vstack((np.zeros(7), steps["joint_velocity_reference"]))

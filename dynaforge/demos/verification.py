@@ -11,7 +11,7 @@ import numpy as np
 
 from dynaforge.demos.atomic import is_temporary
 from dynaforge.demos.audit import audit
-from dynaforge.demos.consistency import contradictions
+from dynaforge.demos.consistency import contradictions, is_planned
 from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
 from dynaforge.demos.differences import differences
 from dynaforge.demos.episode import Episode
@@ -182,7 +182,7 @@ class EpisodeVerifier:
         yield from contradictions(episode, self._task, self._kinematics)
 
     def _wrong_physics(self, episode: Episode) -> Iterator[str]:
-        if self._again is not None:
+        if self._again is not None and is_planned(episode):
             try:
                 found = differences(episode, self._again(episode))
             except ValueError as error:

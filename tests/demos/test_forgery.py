@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.demos import DemonstrationDataset, Episode, write_episode
 from dynaforge.demos.consistency import contradictions
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.differences import differences
+from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import SCHEMA, state_digests
 from dynaforge.demos.verification import verify
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import Exploring, ResidualGenerator
 from dynaforge.generators.generator import ConstantResidual
+from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.repeat import Repeater
 from dynaforge.planning import ArmKinematics
 from dynaforge.registration import ENV_NAMES
@@ -191,3 +193,33 @@ def test_an_attempt_made_again_is_the_same_to_the_bit(name: str) -> None:
         assert made.content_hash() == episode.content_hash()
         assert list(contradictions(episode, task, ArmKinematics(franka()))) == []
     repeat.close()
+
+
+class Wanders:
+    """A policy that acts without the planner."""
+
+    def __call__(self, observation: Any) -> np.ndarray:
+        return np.array([0.5, 0.1, 0.3, 0.0, 1.0, 0.0, 0.0, 0.04, 0.1]) + 0.05 * np.sin(observation["q"].sum())
+
+
+def test_an_attempt_without_the_planner_is_checked_as_far_as_that_goes(tmp_path: Path) -> None:
+    (tmp_path / "wanders.py").write_text("from test_forgery import Wanders\n\ndef make(name):\n    return Wanders()\n")
+    generator, task = LearnerGenerator(f"{tmp_path / 'wanders.py'}:make"), get_task(TASK)
+    env = generator.make_env(task)
+    episode = generator.attempt(env, next(task.conditions.stream("val")))
+    env.close()
+    dataset = DemonstrationDataset(tmp_path / "data", task=TASK, keep_failures=True)
+    dataset.note_source(episode.generator, Provenance("", task_digest(task)))
+    dataset.add(episode)
+    repeat, replayer = Repeater(task), Replayer(task)
+    assert [f for found in verify(dataset, task=task, again=repeat, replayer=replayer) for f in found] == []
+    write_episode(dataset.file_of(episode.id), forge_reference(episode))
+    problems = [f.problem for found in verify(dataset, task=task, again=repeat, replayer=replayer) for f in found]
+    assert any("its replay leaves the recording" in problem for problem in problems), problems
+    assert any("projected_action is not where joint_reference" in problem for problem in problems), problems
+
+
+def forge_reference(episode: Episode) -> Episode:
+    column = episode.steps["joint_reference"].copy()
+    column[10:] += 1e-3
+    return replace(episode, steps=dict(episode.steps) | {"joint_reference": column})
