@@ -10,6 +10,7 @@ import contextlib
 import difflib
 import json
 import operator
+import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -19,10 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos.exporters.frames import Frames
+from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, kind_of, printable, read_json
 
 ABOUT = "pack.json"
 ENDS = "episode_ends"
 LONGEST = 10_000  # frames that a window may reach to either side: no episode is as long
+MOST_EPISODES = 10**7
+AGAIN = "write the pack"  # how a damaged file is made again
 
 
 class Pack:
@@ -42,18 +46,22 @@ class Pack:
 
     Raises:
         FileNotFoundError: It holds no pack.
+        DamagedFileError: A file of it cannot be read, or does not fit the others.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).absolute()
-        about = self.folder / ABOUT
-        if not about.is_file():
-            raise FileNotFoundError(f"{folder} holds no pack.")
-        data = json.loads(about.read_text())
-        self.action_names: tuple[str, ...] = tuple(data["action_names"])
-        self.arrays = {name: np.load(self.folder / f"{name}.npy", mmap_mode="r") for name in data["arrays"]}
-        self.episode_ends: NDArray[np.int64] = np.load(self.folder / f"{ENDS}.npy")
+        self.action_names, names = _about(self.folder)
+        self.arrays = {name: _open(self.folder, name) for name in names}
+        ends = _open(self.folder, ENDS)
+        self.episode_ends: NDArray[np.int64] = np.array(ends[:MOST_EPISODES])
         lengths = np.diff(self.episode_ends, prepend=0)
+        frames = {name: len(array) for name, array in self.arrays.items()}
+        if self.episode_ends.dtype != np.int64 or not len(lengths) or (lengths <= 0).any():
+            raise DamagedFileError(self.folder / f"{ENDS}.npy", "it is no list of increasing ends", again=AGAIN)
+        if odd := [name for name, n in frames.items() if n != self.episode_ends[-1]]:
+            reason = f"it holds {frames[odd[0]]} frames, the episodes {self.episode_ends[-1]}"
+            raise DamagedFileError(self.folder / f"{odd[0]}.npy", reason, again=AGAIN)
         self._first = np.repeat(self.episode_ends - lengths, lengths)
         self._last = np.repeat(self.episode_ends - 1, lengths)
 
@@ -186,3 +194,34 @@ def _growing(folder: Path, name: str, like: NDArray[Any]) -> Iterator[_Growing]:
         array = _Growing(file, like)
         yield array
         array.finish()
+
+
+def _about(folder: Path) -> tuple[tuple[str, ...], list[str]]:
+    """Return the names of an action's components, and of the arrays."""
+    path = folder / ABOUT
+    try:
+        data = read_json(path, again=AGAIN)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{printable(folder)} holds no pack.") from None
+    actions, arrays = (data.get("action_names"), data.get("arrays")) if isinstance(data, dict) else (None, None)
+    if not (
+        isinstance(actions, list) and isinstance(arrays, list) and all(isinstance(n, str) for n in actions + arrays)
+    ):
+        raise DamagedFileError(path, "it does not describe a pack", again=AGAIN)
+    if odd := [name for name in arrays if not re.fullmatch(r"[A-Za-z_]+", name)]:
+        raise DamagedFileError(path, f"{odd[0]!r:.80} is no name of an array", again=AGAIN)
+    return tuple(actions), arrays
+
+
+def _open(folder: Path, name: str) -> NDArray[Any]:
+    """Map an array into memory, without reading it."""
+    path = folder / f"{name}.npy"
+    if (kind := kind_of(path)) != "a file":
+        raise DamagedFileError(path, f"it is {kind or 'missing'}", again=AGAIN)
+    try:
+        array: NDArray[Any] = np.load(path, mmap_mode="r")
+    except MALFORMED as error:
+        raise DamagedFileError(path, f"it is no array ({printable(error)})", again=AGAIN) from error
+    if array.ndim < 1 or array.dtype.kind not in "biuf":
+        raise DamagedFileError(path, "it is no array of numbers", again=AGAIN)
+    return array

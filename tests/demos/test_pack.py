@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import os
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 from demo_episodes import make_episode
 
+from dynaforge.demos import DamagedFileError
 from dynaforge.demos.exporters import Frames
 from dynaforge.demos.pack import Pack
 from dynaforge.tasks.action import ActionLayout
@@ -97,3 +100,30 @@ def test_a_pack_holds_phase_and_joint_velocity(tmp_path: Path) -> None:
     assert pack.window("dq", 6, before=1, after=0)[:, 0].tolist() == [201, 202]
     assert pack.arrays["gate"].dtype == bool
     assert pack.arrays["points"].dtype == np.float16
+
+
+def test_a_pack_that_holds_something_else_is_refused_and_nothing_hangs(tmp_path: Path) -> None:
+    folder = tmp_path / "pack"
+
+    def fifo(path: Path) -> None:
+        path.unlink()
+        os.mkfifo(path)
+
+    for name, spoil in (
+        ("state.npy", fifo),
+        ("state.npy", Path.unlink),
+        ("state.npy", lambda path: path.write_bytes(path.read_bytes()[:-8])),
+        ("state.npy", lambda path: np.save(path, np.zeros((3, 1)))),
+        ("action.npy", lambda path: np.save(path, np.array(["a", {}], dtype=object), allow_pickle=True)),
+        ("episode_ends.npy", lambda path: np.save(path, np.array([4, 2]))),
+        ("episode_ends.npy", fifo),
+        ("pack.json", fifo),
+        ("pack.json", lambda path: path.write_text("[" * 9999)),
+        ("pack.json", lambda path: path.write_text('{"arrays": ["../../x"], "action_names": []}')),
+        ("pack.json", lambda path: path.write_text('{"arrays": 3, "action_names": []}')),
+    ):
+        Pack.write(folder, [frames(1, 4)])
+        spoil(folder / name)
+        with pytest.raises(DamagedFileError, match=name):
+            Pack(folder)
+        shutil.rmtree(folder)
