@@ -7,8 +7,7 @@ import math
 import re
 import reprlib
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import fields
+from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
 
@@ -163,18 +162,3 @@ def is_number(value: Any) -> bool:
 def is_whole(value: Any) -> bool:
     """Whether the value is a whole number that a float can hold; True and False are none."""
     return isinstance(value, Integral) and not isinstance(value, bool) and abs(int(value)) <= sys.float_info.max
-
-
-_BY_ANNOTATION: dict[str, Callable[[str, Any], None]] = {
-    "float": check_number,
-    "bool": check_flag,
-    "tuple[float, float, float]": lambda what, value: check_numbers(what, value, 3),
-}
-
-
-def check_fields(thing: Any, what: str) -> None:
-    """Check every field of a dataclass that is annotated as `float`, `bool` or three floats; those must be finite."""
-    for field in fields(thing):
-        check = _BY_ANNOTATION.get(str(field.type))
-        if check is not None:
-            check(f"{what}: {field.name}", getattr(thing, field.name))

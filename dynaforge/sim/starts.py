@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from dynaforge.geometry import Array, Pose
-from dynaforge.sim.checks import check_fields, check_kind, check_number, check_pose, check_whole, finite_array
+from dynaforge.sim.checks import check_kind, check_number, check_pose, check_whole, finite_array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +59,8 @@ class Drive:
     phase: float = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(self, "Drive")
+        for part in fields(self):
+            check_number(f"Drive: {part.name}", getattr(self, part.name))
 
     def position(self, time: float) -> float:
         """Where the joint should be, rad or m."""
