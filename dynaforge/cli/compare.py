@@ -181,7 +181,9 @@ class Crew:
 
     def _start(self, spec: RunSpec) -> None:
         spec.folder.mkdir(parents=True, exist_ok=True)
-        with (spec.folder / "log.txt").open("w") as log:
+        path = spec.folder / "log.txt"
+        path.unlink(missing_ok=True)  # a link would lead out of the folder, which may be a stranger's
+        with path.open("x") as log:
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "dynaforge.cli.runs", spec.to_json(), END_WITH_STDIN],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True,

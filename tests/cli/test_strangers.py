@@ -20,7 +20,7 @@ import pytest
 import dynaforge
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import runs, zoo
+from dynaforge.cli import compare, runs, zoo
 from dynaforge.cli.main import main
 from dynaforge.cli.runs import Exam, RunSpec
 from dynaforge.demos.dataset import FORMAT
@@ -131,6 +131,21 @@ def test_a_comparison_goes_on_from_no_pickle(tmp_path: Path, canary: Path) -> No
     with pytest.raises(ValueError, match="is no checkpoint of this run"):
         runs.perform(spec)
     assert not canary.exists()
+
+
+def test_a_comparison_writes_its_log_through_no_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def end(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    mine = tmp_path / "mine"
+    mine.write_text("years of work")
+    spec = RunSpec("can", "ppo", "ppo", {}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    spec.folder.mkdir()
+    (spec.folder / "log.txt").symlink_to(mine)
+    monkeypatch.setattr(compare.subprocess, "Popen", end)
+    with pytest.raises(KeyboardInterrupt):
+        compare.Crew([spec], 1, seconds=1.0)._start(spec)
+    assert mine.read_text() == "years of work"
 
 
 @pytest.mark.slow
