@@ -163,4 +163,9 @@ def verify(parser: argparse.ArgumentParser) -> None:
         "--audit", action="store_true",
         help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
     )  # fmt: skip
+    parser.add_argument(
+        "--pictures",
+        action="store_true",
+        help="render what lies in observations/ again and compare it, to the bit",
+    )
     add_workers(parser)

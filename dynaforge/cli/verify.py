@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.observations import ObservationRenderer
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import EpisodeVerifier, Finding, Notes, read_notes, verify_folder
 from dynaforge.envs.processes import guard_hint, kill_pool, worker_pool
@@ -31,7 +32,7 @@ class Asked:
     Attributes:
         folder, task: The dataset.
         notes: What lies beside its recordings.
-        replay, audit: The options.
+        replay, audit, pictures: The options.
     """
 
     folder: Path
@@ -39,14 +40,16 @@ class Asked:
     notes: Notes
     replay: bool
     audit: bool
+    pictures: bool = False
 
 
 def run(options: argparse.Namespace) -> int:
     """Check and print every finding; returns 1 when there is any."""
     dataset, task = open_dataset(options)
     notes, found = read_notes(dataset), 0
-    asked = Asked(options.folder, task, notes, options.replay, options.audit)
-    workers = min(options.workers, -(-len(notes.names) // WORTH_A_WORKER[options.replay]))
+    asked = Asked(options.folder, task, notes, options.replay, options.audit, options.pictures)
+    simulated = options.replay or options.pictures
+    workers = min(options.workers, -(-len(notes.names) // WORTH_A_WORKER[simulated]))
     checked = chain([verify_folder(dataset, notes)], check(asked, notes.names, workers))
     for findings in tqdm(checked, total=len(notes.names) + 1, leave=False, unit="file"):
         for finding in findings:
@@ -113,9 +116,12 @@ class Checker:
         self._stack = ExitStack()
         again = self._stack.enter_context(closing(Repeater(asked.task))) if asked.replay else None
         replayer = self._stack.enter_context(closing(Replayer(asked.task))) if asked.replay else None
+        seen, renderer = asked.notes.observations, None
+        if asked.pictures and seen is not None:
+            renderer = self._stack.enter_context(closing(ObservationRenderer(asked.task, seen.settings)))
         self.check = EpisodeVerifier(
             DemonstrationDataset(asked.folder), asked.notes, task=asked.task, again=again, replayer=replayer,
-            audited=asked.audit,
+            audited=asked.audit, render=renderer.render if renderer else None,
         )  # fmt: skip
 
     def close(self) -> None:

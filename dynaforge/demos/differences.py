@@ -40,7 +40,7 @@ def _columns(recorded: Episode, again: Episode) -> list[str]:
     first = {
         name: step
         for name in known
-        if name in again.steps and (step := _first(recorded.steps[name], again.steps[name])) is not None
+        if name in again.steps and (step := first_row(recorded.steps[name], again.steps[name])) is not None
     }
     start = min(first.values(), default=0)
     found += [
@@ -54,7 +54,7 @@ def _columns(recorded: Episode, again: Episode) -> list[str]:
     return found
 
 
-def _first(a: NDArray[Any], b: NDArray[Any]) -> int | None:
+def first_row(a: NDArray[Any], b: NDArray[Any]) -> int | None:
     """Return the first row in which two columns differ, as far as both go; None if there is none."""
     if a.shape[1:] != b.shape[1:]:
         return 0

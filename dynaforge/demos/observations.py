@@ -214,7 +214,8 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
         raise ValueError("There is no point to choose from.")
     if len(points) <= n:
         return np.resize(np.arange(len(points)), n)
-    chosen = fpsample.bucket_fps_kdline_sampling(points.astype(np.float32), n, h=5, start_idx=0)
+    height = min(5, len(points).bit_length() - 1)  # of its tree, which needs as many points as leaves
+    chosen = fpsample.bucket_fps_kdline_sampling(points.astype(np.float32), n, h=height, start_idx=0)
     return np.asarray(chosen, dtype=np.int64)
 
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaforge.demos.atomic import is_temporary
 from dynaforge.demos.audit import audit
 from dynaforge.demos.consistency import contradictions, is_planned
 from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
-from dynaforge.demos.differences import differences
+from dynaforge.demos.differences import differences, first_row
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX
 from dynaforge.demos.ledger import Attempt
@@ -139,14 +140,16 @@ class EpisodeVerifier:
         again: Makes an attempt again from its recording, as `dynaforge.generators.repeat.Repeater` does.
         replayer: Simulates what an attempt made again does not repeat, and looks for deep overlaps.
         audited: Look for motion that is not possible, too.
+        render: Renders an episode again, as `ObservationRenderer.render` does with the settings of the folder.
     """
 
     def __init__(
         self, dataset: DemonstrationDataset, notes: Notes, *, task: Task | None = None,
         again: Callable[[Episode], Episode] | None = None, replayer: Replayer | None = None, audited: bool = False,
+        render: Callable[[Episode], Mapping[str, NDArray[Any]]] | None = None,
     ) -> None:  # fmt: skip
         self._dataset, self._notes, self._task = dataset, notes, task
-        self._again, self._replayer, self._audited = again, replayer, audited
+        self._again, self._replayer, self._audited, self._render = again, replayer, audited, render
         self._kinematics = ArmKinematics(franka()) if task is not None else None
 
     def __call__(self, name: str) -> list[Finding]:
@@ -224,14 +227,24 @@ class EpisodeVerifier:
                     yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
 
     def _wrong_observations(self, episode: Episode) -> list[Finding]:
+        if (observations := self._notes.observations) is None:
+            return []
+        path = observations.file_of(episode.id)
         try:
-            if self._notes.observations is not None:
-                self._notes.observations.of(episode)
+            arrays = observations.of(episode)
+            again = self._render(episode) if self._render is not None else arrays
         except FileNotFoundError:
             return []
         except DamagedFileError as error:
             return [Finding(error.path, error.reason)]
-        return []
+        except MALFORMED as error:
+            return [Finding(path, f"it cannot be rendered again: {printable(error)}")]
+        first = {name: first_row(array, again[name]) for name, array in arrays.items()}
+        return [
+            Finding(path, f"{name} is not what rendering gives from step {step} on")
+            for name, step in first.items()
+            if step is not None
+        ]
 
 
 def verify(

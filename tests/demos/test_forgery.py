@@ -15,9 +15,15 @@ from dynaforge.demos import DemonstrationDataset, Episode, write_episode
 from dynaforge.demos.consistency import contradictions
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.differences import differences
+from dynaforge.demos.observations import (
+    ObservationFolder,
+    ObservationRenderer,
+    ObservationSettings,
+    standard_cameras,
+)
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import SCHEMA, state_digests
-from dynaforge.demos.verification import verify
+from dynaforge.demos.verification import EpisodeVerifier, read_notes, verify
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import Exploring, ResidualGenerator
 from dynaforge.generators.generator import ConstantResidual
@@ -223,3 +229,23 @@ def forge_reference(episode: Episode) -> Episode:
     column = episode.steps["joint_reference"].copy()
     column[10:] += 1e-3
     return replace(episode, steps=dict(episode.steps) | {"joint_reference": column})
+
+
+def test_a_forged_picture_is_named(tmp_path: Path, honest: Episode) -> None:
+    task, front = get_task(TASK), replace(standard_cameras(get_task(TASK))["front"], size=(12, 8))
+    settings = ObservationSettings((front,), points=8)
+    renderer = ObservationRenderer(task, settings)
+    rendered = renderer.render(honest)
+    renderer.close()
+    dataset = DemonstrationDataset(tmp_path, task=TASK, keep_failures=True)
+    dataset.note_source(honest.generator, Provenance("", task_digest(task)))
+    dataset.add(honest)
+    observations = ObservationFolder(tmp_path / "observations", settings)
+    for name in (None, *rendered):
+        arrays = {key: array.copy() for key, array in rendered.items()}
+        if name is not None:
+            arrays[name][5] = np.where(arrays[name][5] == 1, 2, 1)
+        observations.write(honest, arrays, [])
+        check = EpisodeVerifier(dataset, read_notes(dataset), task=task, render=lambda episode: rendered)
+        expected = [f"{name} is not what rendering gives from step 5 on"] if name else []
+        assert [finding.problem for finding in check(honest.id)] == expected

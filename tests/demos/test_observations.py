@@ -167,3 +167,12 @@ def test_a_camera_whose_name_is_no_part_of_a_file_name_is_refused_where_settings
         ObservationFolder(tmp_path)
     with pytest.raises(ValueError, match=r"no name for a camera|Camera: name is"):
         ObservationSettings((replace(standard_cameras(get_task("can"))["front"], name=name),))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("m", [2, 3, 9, 31, 32, 33, 200])
+def test_of_any_number_of_points_some_far_apart_are_chosen(m: int) -> None:
+    points = np.random.default_rng(0).normal(size=(m, 3))
+    for n in {1, 2, m // 2, m - 1, m, m + 5} - {0}:
+        chosen = farthest_points(points, n)
+        assert len(chosen) == n
+        assert len(set(chosen.tolist())) == min(n, m)
