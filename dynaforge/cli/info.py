@@ -10,6 +10,7 @@ import numpy as np
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
+from dynaforge.demos.untrusted import printable
 from dynaforge.evaluation import DgrReport
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
@@ -24,16 +25,21 @@ def run(options: argparse.Namespace) -> int:
     attempts, episodes = dataset.attempts(), list(dataset)
     size = sum(path.stat().st_size for path in options.folder.rglob("*") if path.is_file())
     held = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
-    print(f"{options.folder}: {task.env_name}, {held}")
+    _say(f"{options.folder}: {task.env_name}, {held}")
     if not attempts:
         return 0
     for name in sorted({attempt.generator for attempt in attempts}):
         made = [attempt for attempt in attempts if attempt.generator == name]
         report = DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=name)
-        print(f"\n{report.table()}\n{_wall(made)}")
+        _say(f"\n{report.table()}\n{_wall(made)}")
     if episodes:
-        print(f"\n{lengths(episodes)}\n{actions(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
+        _say(f"\n{lengths(episodes)}\n{actions(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
     return 0
+
+
+def _say(text: str) -> None:
+    """Print lines of which no terminal obeys any: reasons and names may be a stranger's."""
+    print("\n".join(map(printable, text.split("\n"))))
 
 
 def lengths(episodes: Sequence[Episode]) -> str:
@@ -79,7 +85,7 @@ def coverage(episodes: Sequence[Episode], task: Task) -> str:
     """Say how evenly the recordings fill the range of each condition."""
     lines = []
     for name, (low, high) in task.conditions.ranges.items():
-        values = [episode.condition.values[name] for episode in episodes]
+        values = [e.condition.values[name] for e in episodes if name in e.condition.values]  # a stranger's may lack it
         counts, _ = np.histogram(values, bins=PARTS, range=(low, high))
         bars = sparkline(count / counts.max() if count else np.nan for count in counts.tolist())
         lines.append(f"  {name:<11} {low:>8.4g} {bars} {high:<8.4g} {np.count_nonzero(counts)} of {PARTS} parts")

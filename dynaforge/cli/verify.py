@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     asked = Asked(options.folder, task, notes, options.replay, options.audit, options.pictures)
     simulated = options.replay or options.pictures
     workers = min(options.workers, -(-len(notes.names) // WORTH_A_WORKER[simulated]))
-    checked = chain([verify_folder(dataset, notes)], check(asked, notes.names, workers))
+    checked = chain([verify_folder(dataset, notes, task)], check(asked, notes.names, workers))
     for findings in tqdm(checked, total=len(notes.names) + 1, leave=False, unit="file"):
         for finding in findings:
             tqdm.write(str(finding))

@@ -25,7 +25,7 @@ from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, files_in, kind_of, printable
 from dynaforge.planning import ArmKinematics
-from dynaforge.sim import franka
+from dynaforge.sim import Condition, franka
 from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
 
@@ -92,8 +92,8 @@ def read_notes(dataset: DemonstrationDataset) -> Notes:
     return Notes(names, {attempt.id: attempt for attempt in attempts}, sources, observations, found)
 
 
-def verify_folder(dataset: DemonstrationDataset, notes: Notes) -> list[Finding]:
-    """Check the ledger against the recordings, both ways, and that nothing else lies among the files.
+def verify_folder(dataset: DemonstrationDataset, notes: Notes, task: Task | None = None) -> list[Finding]:
+    """Check the ledger against the task and the recordings, both ways, and that nothing else lies among the files.
 
     Lines lost from the ledger are seen by the recordings they spoke of; of a lost failure that left none, nothing is.
     """
@@ -102,6 +102,8 @@ def verify_folder(dataset: DemonstrationDataset, notes: Notes) -> list[Finding]:
     for attempt in noted:
         if attempt.condition.task != dataset.task:
             found.append(Finding(ledger, f"attempt {attempt.id} is one at task {attempt.condition.task!r}"))
+        elif task is not None and (problem := _wrong_condition(task, attempt.condition)):
+            found.append(Finding(ledger, f"attempt {attempt.id}: {problem}"))
         if (attempt.success or attempt.recorded) and attempt.id not in names:
             found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
     for name in sorted(names - set(notes.attempts)):
@@ -110,6 +112,14 @@ def verify_folder(dataset: DemonstrationDataset, notes: Notes) -> list[Finding]:
         found.append(Finding(dataset.path / SOURCES, "it is missing, so nothing says what made the attempts"))
     found += [Finding(path, f"it is {kind_of(path)}") for path in files_in(dataset.path) if _odd(path)]
     return found + _strangers(dataset.path / EPISODES, names) + _strangers(dataset.path / OBSERVATIONS, names, SETTINGS)
+
+
+def _wrong_condition(task: Task, condition: Condition) -> str:
+    try:
+        task.conditions.validate(condition)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _odd(path: Path) -> bool:
@@ -182,6 +192,8 @@ class EpisodeVerifier:
             return
         if episode.meta.get("task_hash", task_digest(self._task)) != task_digest(self._task):
             yield f"it was recorded with another definition of task {self._dataset.task!r}"
+        if problem := _wrong_condition(self._task, episode.condition):
+            yield problem
         yield from contradictions(episode, self._task, self._kinematics)
 
     def _wrong_physics(self, episode: Episode) -> Iterator[str]:
@@ -257,7 +269,7 @@ def verify(
         dataset, task, again, replayer, audited: As `EpisodeVerifier`.
     """
     notes = read_notes(dataset)
-    yield verify_folder(dataset, notes)
+    yield verify_folder(dataset, notes, task)
     yield from map(
         EpisodeVerifier(dataset, notes, task=task, again=again, replayer=replayer, audited=audited), notes.names
     )

@@ -276,3 +276,13 @@ def test_json_is_of_finite_numbers_and_bounded_depth() -> None:
     for text in ("NaN", "[-Infinity]", "1e999", "9" * 400, "", "[" * 40 + "]" * 40, DEEP):
         with pytest.raises(ValueError, match=r"no number|too large|digits|empty|levels"):
             parse_json(text)
+
+
+def test_a_reason_that_a_terminal_would_obey_is_escaped(
+    dataset: DemonstrationDataset, capsys: pytest.CaptureFixture[str]
+) -> None:
+    DemonstrationDataset(dataset.path, task="can").add(replace(make_episode(9, success=False), failure="a\x1b[2Jb"))
+    assert main(["info", str(dataset.path)]) == 0
+    out = capsys.readouterr().out
+    assert r"a\x1b[2Jb" in out
+    assert "\x1b" not in out

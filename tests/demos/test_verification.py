@@ -232,3 +232,12 @@ def test_verify_ends_with_0_or_1(real: DemonstrationDataset, capsys: pytest.Capt
     assert main(["verify", str(real.path)]) == 1
     assert real.ids()[0] in capsys.readouterr().out
     assert main(["verify", str(real.path / "nowhere")]) == 2
+
+
+def test_an_attempt_at_what_is_no_condition_of_the_task_is_named(real: DemonstrationDataset) -> None:
+    held = real.attempts()[0]
+    for change in ({"difficulty": 1e300}, {"values": {}}):
+        odd = replace(held, condition=replace(held.condition, **change), success=False, failure="x", recorded=False)
+        real.record(replace(odd, checkpoint=0))
+        found = [f for findings in verify(real, task=get_task("can")) for f in findings]
+        assert any(f.path == real.ledger.path and odd.id in f.problem for f in found), found
