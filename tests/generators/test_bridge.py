@@ -20,7 +20,7 @@ from dynaforge.tasks import TASK_NAMES, get_task
 
 FPS = 30
 IN_THE_DEFAULT_SUITE = ("can", "bottle", "peg")
-LAYOUTS = ("ee", "rotation_6d", "joint")
+LEAST = {"ee": 0.98, "rotation_6d": 0.98, "joint": 0.98, "no elbow": 0.9}  # of successes that succeed again
 
 
 def shipped(task: str):
@@ -41,7 +41,8 @@ def collected(folder: Path, task: str, attempts: int, workers: int) -> Demonstra
 def frames_of(dataset: DemonstrationDataset, kind: str) -> Iterator[Frames]:
     if kind == "joint":
         return read_frames(dataset, fps=FPS, actions="joint")
-    return read_frames(dataset, fps=FPS, rotation="quat_wxyz" if kind == "ee" else kind)
+    rotation = kind if kind == "rotation_6d" else "quat_wxyz"
+    return read_frames(dataset, fps=FPS, rotation=rotation, elbow=kind != "no elbow")
 
 
 def share_that_acts(dataset: DemonstrationDataset, task: str, kind: str) -> list[bool]:
@@ -73,16 +74,16 @@ def test_exported_actions_do_in_the_env_what_they_did_in_the_recording(
 
 @pytest.mark.slow
 def test_98_in_100_successes_of_all_tasks_succeed_again_in_both_modes(tmp_path: Path) -> None:
-    again: dict[str, list[bool]] = {kind: [] for kind in LAYOUTS}
+    again: dict[str, list[bool]] = {kind: [] for kind in LEAST}
     for task in TASK_NAMES:
         dataset = collected(tmp_path, task, 60, 2)
-        for kind in LAYOUTS:
+        for kind in LEAST:
             won = share_that_acts(dataset, task, kind)
             print(f"{task} {kind}: {sum(won)} of {len(won)} succeed again")
             again[kind] += won
     for kind, won in again.items():
         print(f"{kind}: {sum(won)} of {len(won)}")
-        assert np.mean(won) >= 0.98, kind
+        assert np.mean(won) >= LEAST[kind], kind
 
 
 def test_the_bridge_sees_what_an_export_holds(can: DemonstrationDataset) -> None:
