@@ -100,7 +100,7 @@ def _rng(seed: int):
         ("import numpy\n\nTASK = numpy.zeroes(3)", r"mine_\w+\.py, line 3: AttributeError: .*zeroes"),
         ("def launch():\n    raise ValueError('no\\nwind')\nlaunch()", r"mine_\w+\.py, line 2: no wind$"),
         ("open('absent.txt')", r"mine_\w+\.py, line 1: .*absent\.txt"),
-        ("import sys\nsys.exit(3)", r"mine_\w+\.py, line 2: the file ends the program"),
+        ("import sys\nsys.exit(3)", r"mine_\w+\.py, line 2: it ends the program"),
         ("import abcent", r"mine_\w+\.py, line 1: ModuleNotFoundError: No module named 'abcent'"),
         (BALL.replace('env_name="Ball"', 'env_name="Can"'), "of another task"),
     ],

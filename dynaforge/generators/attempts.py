@@ -15,6 +15,7 @@ from dynaforge.envs.processes import guard_hint, kill_pool, usable_cores, worker
 from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+from dynaforge.tasks.user_code import in_one_line
 
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
 
@@ -33,6 +34,7 @@ class Result:
 
 _env: Any = None
 _generator: Generator | None = None
+_fault = ""  # why there is no env
 
 
 def run_attempts(
@@ -55,7 +57,7 @@ def run_attempts(
         workers: Processes; by default as many as the cores that this process may use.
 
     Raises:
-        NoWorkers: Workers cannot even start.
+        NoWorkers: Workers cannot even start, or the generator cannot be made in them; says why.
     """
     source = iter(conditions)
     crew = _Crew(task, generator, workers or usable_cores())
@@ -125,8 +127,12 @@ class _Crew:
 
 
 def _start(task: Task, generator: Generator) -> None:
-    global _env, _generator
-    _env, _generator = make_env(generator, task), generator
+    global _env, _generator, _fault
+    _generator = generator
+    try:
+        _env = make_env(generator, task)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - told by the first attempt: here it would only end the worker
+        _fault = in_one_line(error)
 
 
 def _ready() -> None:
@@ -135,6 +141,8 @@ def _ready() -> None:
 
 def _attempt(condition: Condition) -> Result:
     assert _generator is not None
+    if _fault:
+        raise NoWorkers(_fault)
     return attempt_once(_env, _generator, condition)
 
 
@@ -143,7 +151,7 @@ def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result
     start = time.perf_counter()
     try:
         episode = generator.attempt(env, condition)
-    except Exception as error:  # noqa: BLE001 - an attempt that raises is a failed attempt, never a missing one
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a failed attempt, never a missing one
         return lost(condition, generator.name, f"exception: {type(error).__name__}: {error}")
     return Result(Attempt.of(episode, wall_seconds=time.perf_counter() - start), episode)
 

@@ -13,6 +13,7 @@ from dynaforge.demos.observations import ObservationSettings, Views
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.generators.recording import measured
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_kind
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
 
@@ -24,14 +25,19 @@ class ExportBridge:
     """A task's env in the terms of its exports: exported observations, exported actions.
 
     Args:
-        task: The task.
+        task: The task, or its name.
         layout: Which numbers an action of the export consists of.
         settings: Cameras of the export's pictures and points; None for an export without.
+
+    Raises:
+        ValueError: No such task, or a layout or settings that are none.
     """
 
     def __init__(
-        self, task: Task, layout: ActionLayout = EXPORTED, *, settings: ObservationSettings | None = None
+        self, task: str | Task, layout: ActionLayout = EXPORTED, *, settings: ObservationSettings | None = None
     ) -> None:
+        check_kind("layout", layout, ActionLayout)
+        check_kind("settings", settings, (ObservationSettings, type(None)))
         rotation = layout.rotation if layout.mode == "ee" else "rotvec"
         self.env = TaskEnv(
             task, action_mode=layout.mode, rotation=rotation, elbow=layout.elbow,

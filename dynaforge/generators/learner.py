@@ -17,8 +17,10 @@ from dynaforge.generators.bridge import EXPORTED, ExportBridge
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
+from dynaforge.sim.checks import check_callable, check_kind
 from dynaforge.tasks import Task
-from dynaforge.tasks.user_code import module_of_file
+from dynaforge.tasks.action import ActionLayout
+from dynaforge.tasks.user_code import in_one_line, module_of_file
 
 
 class Learner(Protocol):
@@ -54,11 +56,20 @@ class LearnerGenerator:
         self._learner: Learner | None = None
 
     def make_env(self, task: Task) -> ExportBridge:
-        """Make the policy, and the env in whose actions it answers."""
-        self._learner = load_function(self.source)(task.name)
-        if not callable(self._learner):
-            raise ValueError(f"{self.source} must return something to call with an observation, got {self._learner!r}.")
-        return ExportBridge(task, getattr(self._learner, "layout", EXPORTED), settings=self.settings)
+        """Make the policy, and the env in whose actions it answers.
+
+        Raises:
+            ValueError: Its code fails, or what it returns is no policy.
+        """
+        load, what = load_function(self.source), f"--learner {self.source}"
+        try:
+            self._learner = load(task.name)
+        except (Exception, SystemExit) as error:  # somebody's code may raise anything
+            raise ValueError(f"{what}: {in_one_line(error)}") from error
+        check_callable(f"{what}: what it returns", self._learner, such_as="a function of an observation")
+        layout = getattr(self._learner, "layout", EXPORTED)
+        check_kind(f"{what}: the policy's layout", layout, ActionLayout)
+        return ExportBridge(task, layout, settings=self.settings)
 
     def attempt(self, env: ExportBridge, condition: Condition) -> Episode:
         """Run one episode and record it."""
@@ -106,3 +117,5 @@ def _installed(name: str) -> ModuleType:
         return import_module(name)
     except ModuleNotFoundError as error:
         raise ValueError(f"--learner: no module {error.name!r} here or installed.") from error
+    except (Exception, SystemExit) as error:  # somebody's code may raise anything
+        raise ValueError(f"--learner {name}: {in_one_line(error)}") from error

@@ -110,7 +110,8 @@ def check_kind(what: str, value: Any, kind: type | tuple[type, ...]) -> None:
     """Raise ValueError unless the value is an instance of a class, or of one of several."""
     kinds = kind if isinstance(kind, tuple) else (kind,)
     if not isinstance(value, kinds):
-        names = ["None" if k is type(None) else f"a {_IN_WORDS.get(k.__name__, k.__name__)}" for k in kinds]
+        words = (_IN_WORDS.get(k.__name__, k.__name__) for k in kinds)
+        names = ["None" if word == "NoneType" else f"{'an' if word[0] in 'AEIOaeio' else 'a'} {word}" for word in words]
         raise ValueError(f"{what} is {shown(value)}; it must be {' or '.join(names)}.")
 
 

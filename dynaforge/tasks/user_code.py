@@ -33,13 +33,14 @@ def module_of_file(path: Path) -> ModuleType:
     except BaseException as error:  # a user's file may raise anything, and must not end the command
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         place = f"{path}, line {lines[-1]}" if lines else str(path)
-        raise ValueError(f"{place}: {_in_one_line(error)}") from error
+        raise ValueError(f"{place}: {in_one_line(error)}") from error
 
 
-def _in_one_line(error: BaseException) -> str:
+def in_one_line(error: BaseException) -> str:
+    """Say what somebody's code raised: an error's text where it is written for people, else its kind too."""
     text = " ".join(str(error).split())
     if isinstance(error, SystemExit):
-        return f"the file ends the program (SystemExit {text}); a file that is imported only defines things."
+        return f"it ends the program (SystemExit {text}); code that is imported or called here must not."
     if isinstance(error, (ValueError, OSError)) and text:
         return text
     return f"{type(error).__name__}: {text}".removesuffix(": ")

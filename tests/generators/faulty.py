@@ -9,6 +9,20 @@ from dataclasses import dataclass
 from dynaforge.demos import Episode
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sim import Condition
+from dynaforge.tasks import Task
+
+
+@dataclass(frozen=True)
+class Unmade:
+    """Finds no weights where it is to act, or ends the program once it does."""
+
+    name: str = "unmade"
+
+    def make_env(self, task: Task) -> ResidualEnv:
+        raise RuntimeError(f"no weights for {task.name}")
+
+    def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
+        raise SystemExit(3)
 
 
 @dataclass(frozen=True)

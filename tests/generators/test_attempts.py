@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 import pytest
-from faulty import Faulty
+from faulty import Faulty, Unmade
 
-from dynaforge.generators import PlannerOnly, Result, run_attempts
+from dynaforge.generators import NoWorkers, PlannerOnly, Result, attempt_once, run_attempts
 from dynaforge.tasks import get_task
 
 TASK = get_task("can")
@@ -35,6 +35,15 @@ def test_an_exception_is_a_failed_attempt_with_its_reason_and_the_order_stays() 
     assert results[0].episode is not None
     assert {r.attempt.block for r in results} == {7}
     assert {r.attempt.generator for r in results} == {"faulty"}
+
+
+def test_a_generator_that_cannot_be_made_in_the_workers_says_why() -> None:
+    with pytest.raises(NoWorkers, match="RuntimeError: no weights for can"):
+        list(run_attempts(TASK, Unmade(), CONDITIONS[:1], workers=1))
+
+
+def test_an_attempt_that_ends_the_program_is_a_failed_attempt() -> None:
+    assert "SystemExit" in attempt_once(None, Unmade(), CONDITIONS[0]).attempt.failure
 
 
 def test_a_dead_worker_is_a_failed_attempt_and_the_others_go_on() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +129,22 @@ def test_an_action_of_another_export_is_named(can: DemonstrationDataset) -> None
     bridge.close()
 
 
+UNMADE = """
+def nothing(task):
+    return None
+
+def other_layout(task):
+    policy = lambda observation: None
+    policy.layout = "joint"
+    return policy
+
+def without_weights(task):
+    return open("weights_of_a_test.pt")
+
+def leaves(task):
+    raise SystemExit(3)
+"""
+
 PLAYER = """
 import numpy as np
 from dynaforge.tasks.action import ActionLayout
@@ -180,6 +197,25 @@ def test_a_learner_of_a_file_is_measured_in_the_terms_of_its_export(can: Demonst
 def test_a_learner_that_is_none_is_named(source: str, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         LearnerGenerator(source)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("nothing", "what it returns is None; it must be a function of an observation"),
+        ("other_layout", "the policy's layout is 'joint'; it must be an ActionLayout"),
+        ("without_weights", r".*No such file or directory: 'weights_of_a_test.pt'"),
+        ("leaves", r"it ends the program \(SystemExit 3\)"),
+    ],
+)
+def test_a_learner_that_cannot_be_made_is_told_with_its_source(name: str, words: str, tmp_path: Path) -> None:
+    source = tmp_path / "unmade_of_a_test.py"
+    source.write_text(UNMADE)
+    try:
+        with pytest.raises(ValueError, match=f"^--learner {source}:{name}: {words}"):
+            LearnerGenerator(f"{source}:{name}").make_env(get_task("can"))
+    finally:
+        del sys.modules[source.stem]
 
 
 def test_the_env_of_an_export_is_the_bridge_s(can: DemonstrationDataset) -> None:
