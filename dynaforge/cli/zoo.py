@@ -23,6 +23,7 @@ import yaml
 from dynaforge.algos import settings
 from dynaforge.cli.zoo_checks import check_configuration, check_flags
 from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
+from dynaforge.cli.zoo_flags import zoo_algorithms, zoo_parser
 from dynaforge.cli.zoo_process import ZooProcess
 from dynaforge.envs.processes import worker_environment
 from dynaforge.tasks import what_was_meant
@@ -55,24 +56,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         known = f"{', '.join(map(repr, SCRIPTS[:-1]))} or {SCRIPTS[-1]!r}"
         raise SystemExit(f"dynaforge: expected {known} and its flags, was given {given}")
     script, *flags = arguments
-    if script in PLOTTERS:
-        return _plot(script, flags)
     asked = _parse(script, flags)
-    flags = [flag for flag in flags if flag != "--trusted"]
+    flags = [flag for flag in flags if not (flag[:3] == "--t" and "--trusted".startswith(flag))]
+    if script in PLOTTERS:
+        return _plot(script, flags, asked)
     if not asked.help:
+        _check_algorithm(asked.algo)
         _check_files(script, asked)
         flags += _name_env(script, asked)
+        with _one_line(script):
+            check_flags(script, asked, named_env=asked.env_given is not None)
+        if asked.env.startswith("DynaForge/"):
+            _check_env(asked.env)
         _check_display(script, asked, flags)
+        with _one_line(script):
+            if asked.conf_file is not None:
+                check_configuration(asked.conf_file, asked.env)
     if script in PLAYERS and asked.folder is None:
         flags += ["-f", "logs"]
     register_with_zoo()
     config = None
     if not asked.help:
-        _check_names(asked)
-        with _one_line(script):
-            check_flags(script, asked, named_env=asked.env_given is not None)
-            if asked.conf_file is not None:
-                check_configuration(asked.conf_file, asked.env)
+        _check_env(asked.env)
         if script == "train":
             _check_statistics(asked)
             config = config_file(asked.algo, asked.env) if asked.conf_file is None else None
@@ -147,24 +152,24 @@ def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
 
 
 def _parse(script: str, flags: list[str]) -> argparse.Namespace:
-    """Read the flags that matter here; rl_zoo3 parses all of them again, with its own defaults and help."""
-    parser = argparse.ArgumentParser(prog=f"dynaforge {script}", add_help=False)
-    parser.add_argument("--algo", default="ppo")
-    parser.add_argument("--env", dest="env_given")
-    parser.add_argument("-n", "--n-timesteps", type=int)
-    parser.add_argument("--seed", type=int)
-    parser.add_argument("-f", "--log-folder" if script == "train" else "--folder", dest="folder")
-    parser.add_argument("--vec-env")
-    parser.add_argument("--gym-packages", nargs="+", default=[])
-    parser.add_argument("--trusted", action="store_true")
-    parser.add_argument("-h", "--help", action="store_true")
-    if script == "train":
-        parser.add_argument("-conf", "--conf-file")
-        parser.add_argument("-i", "--trained-agent", default="")
-    else:
-        parser.set_defaults(conf_file=None, trained_agent="")
-    asked = parser.parse_known_args(flags)[0]
-    asked.env = asked.env_given or "CartPole-v1"
+    """Read the flags; rl_zoo3 parses them again, with its own defaults and help.
+
+    Raises:
+        SystemExit: One is unknown, or its value is none; the message names it.
+    """
+    wants_help = bool({"-h", "--help"} & set(flags))
+    with _one_line(script):
+        try:
+            parser = zoo_parser(script, complete=not wants_help)
+        except ModuleNotFoundError:
+            register_with_zoo()  # says what to install
+            raise
+        asked: argparse.Namespace = parser.parse_args(["--help"] if wants_help else flags)
+    if script not in PLOTTERS:
+        asked.env_given, asked.env, asked.algo = asked.env, asked.env or "CartPole-v1", asked.algo or "ppo"
+        asked.folder = asked.log_folder if script == "train" else asked.folder
+    for name, missing in (("conf_file", None), ("trained_agent", ""), ("vec_env", None), ("gym_packages", [])):
+        setattr(asked, name, getattr(asked, name, None) or missing)
     return asked
 
 
@@ -216,17 +221,21 @@ def _check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> 
         )
 
 
-def _check_names(asked: argparse.Namespace) -> None:
-    """Refuse an unknown algorithm or env."""
-    import gymnasium as gym
-    from rl_zoo3 import ALGOS
-
-    if asked.algo not in ALGOS:
-        close = difflib.get_close_matches(asked.algo, ALGOS, n=1, cutoff=0.5)
+def _check_algorithm(algo: str) -> None:
+    """Refuse an unknown algorithm."""
+    known = (*zoo_algorithms(), *ALGORITHMS)
+    if algo not in known:
+        close = difflib.get_close_matches(algo, known, n=1, cutoff=0.5)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise SystemExit(f"dynaforge: no algorithm {asked.algo!r}.{hint}")
-    if asked.env not in gym.registry:
-        raise SystemExit(f"dynaforge: no env {asked.env!r}. {what_was_meant(asked.env, among=gym.registry)}")
+        raise SystemExit(f"dynaforge: no algorithm {algo!r}.{hint}")
+
+
+def _check_env(env: str) -> None:
+    """Refuse an unknown env; those of others are known once rl_zoo3 is imported."""
+    import gymnasium as gym
+
+    if env not in gym.registry:
+        raise SystemExit(f"dynaforge: no env {env!r}. {what_was_meant(env, among=gym.registry)}")
 
 
 @contextmanager
@@ -275,11 +284,11 @@ def _one_line(script: str) -> Iterator[None]:
         raise SystemExit(f"dynaforge {script}: {' '.join(str(error).split())}") from error
 
 
-def _plot(script: str, flags: list[str]) -> int:
+def _plot(script: str, flags: list[str], asked: argparse.Namespace) -> int:
     """Run a script that plots; it looks for parts of folder names, in which "/" is written "-"."""
-    if script == "plot_from_file" and not {"-h", "--help", "--trusted"} & set(flags):
+    if script == "plot_from_file" and not asked.help and not asked.trusted:
         raise SystemExit("dynaforge plot_from_file: it unpickles a file of all_plots; add --trusted if it is your own")
-    flags = [flag.replace("DynaForge/", "DynaForge-") for flag in flags if flag != "--trusted"]
+    flags = [flag.replace("DynaForge/", "DynaForge-") for flag in flags]
     register_with_zoo()
     with _zoo_process(script, flags, own_env=False, own_workers=False, config=None):
         _run(script)

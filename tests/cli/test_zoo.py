@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import argparse
 import inspect
 import json
 import os
@@ -18,6 +19,7 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.algos.settings import arms
 from dynaforge.cli import zoo
 from dynaforge.cli.main import main
+from dynaforge.cli.zoo_flags import zoo_parser
 from dynaforge.cli.zoo_process import ZooProcess
 
 
@@ -97,6 +99,46 @@ def test_a_mistake_is_one_line_and_leaves_no_folder(
     env = ["--env", "CartPole-v1", "--device", "cpu"] if flags else []
     assert MISTAKES[flags] in run("train", "--algo", "frontier_grpo", *env, *flags.split())
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("script", ["train", "enjoy", "record_video"])
+def test_flags_are_read_as_the_script_reads_them(script: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Read(Exception):  # noqa: N818 - no error
+        pass
+
+    def read(parser: argparse.ArgumentParser, *_: object) -> None:
+        raise Read(parser)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(argparse.ArgumentParser, "parse_args", read)
+        patch.setattr(sys, "argv", [script])
+        with pytest.raises(Read) as reading:
+            zoo._run(script)
+    ours = zoo_parser(script)._option_string_actions
+    for name, theirs in reading.value.args[0]._option_string_actions.items():
+        assert ours[name].nargs == theirs.nargs, name
+        assert ours[name].required == theirs.required, name
+        if theirs.type in (int, float):
+            said = run(script, name, "x")
+            assert name in said
+            assert "is 'x'; it must be a" in said
+            assert ours[name].type("3") == 3
+
+
+def test_a_slip_in_a_flag_is_told_before_anything_heavy_is_imported() -> None:
+    lines = ("train --foo", "train --algo ppo", "train --algo popo --env can", "enjoy -n x", "plot_train", "train x")
+    code = f"""
+import sys
+from dynaforge.cli import zoo
+for line in {lines!r}:
+    try:
+        zoo.main(line.split())
+    except SystemExit as ended:
+        assert "\\n" not in str(ended), ended
+print([name for name in ("torch", "rl_zoo3", "pybullet", "matplotlib") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
 def test_no_script_of_the_zoo_leaves_a_trace_in_the_process() -> None:

@@ -1,0 +1,102 @@
+"""The flags of rl_zoo3's scripts, read from their source: importing them takes seconds, refusing a slip should not."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from dynaforge.cli.options import Choice, Parser, Refused
+from dynaforge.sim.checks import shown
+
+AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}
+"""Numbers that may not be 0: their scripts divide by them, or go on without end."""
+
+
+def zoo_parser(script: str, *, complete: bool = True) -> Parser:
+    """Return a parser of what a script of rl_zoo3 takes, and of --trusted; its own defaults are left to the script.
+
+    Args:
+        script: Its name.
+        complete: Whether flags that the script requires are required.
+
+    Raises:
+        ModuleNotFoundError: rl_zoo3 is not installed.
+    """
+    parser = Parser(prog=f"dynaforge {script}", add_help=False)
+    for call in _calls(_source(script), "add_argument"):
+        names = [_value(name) for name in call.args]
+        said = {word.arg: word.value for word in call.keywords}
+        parser.add_argument(*names, **_meaning(said, names[-1].lstrip("-").replace("-", "_"), complete))
+    parser.add_argument("--trusted", action="store_true")
+    parser.add_argument("-h", "--help", action="store_true")
+    return parser
+
+
+def zoo_algorithms() -> list[str]:
+    """Return the names of rl_zoo3's own algorithms."""
+    for node in ast.walk(_source("utils")):
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "ALGOS" and isinstance(node.value, ast.Dict):
+            return [_value(key) for key in node.value.keys]
+    from rl_zoo3 import ALGOS  # another version, which writes them down otherwise
+
+    return list(ALGOS)
+
+
+def _source(script: str) -> ast.Module:
+    spec = find_spec("rl_zoo3")
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError("No module named 'rl_zoo3'", name="rl_zoo3")
+    package = Path(spec.submodule_search_locations[0])
+    path = next(path for path in (package / f"{script}.py", package / "plots" / f"{script}.py") if path.exists())
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _calls(tree: ast.Module, method: str) -> Iterator[ast.Call]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == method:
+            yield node
+
+
+def _meaning(said: dict[str | None, ast.expr], name: str, complete: bool) -> dict[str, Any]:
+    """Translate what a script says of a flag, as far as it can be read without running it."""
+    if _value(said.get("action")) == "store_true":
+        return {"action": "store_true"}
+    kind = said.get("type")
+    meaning: dict[str, Any] = {
+        "nargs": _value(said.get("nargs")),
+        "required": complete and _value(said.get("required")) is True,
+    }
+    if isinstance(choices := _value(said.get("choices")), list):
+        meaning["type"] = Choice("choice", choices)
+    elif isinstance(kind, ast.Name) and kind.id in ("int", "float"):
+        meaning["type"] = _Figure(int if kind.id == "int" else float, positive=name in AT_LEAST_ONE)
+    return meaning
+
+
+def _value(node: ast.expr | None) -> Any:
+    """Return a constant, or a list of some; None for anything else."""
+    try:
+        return None if node is None else ast.literal_eval(node)
+    except ValueError:
+        return None
+
+
+class _Figure:
+    """A number as Python reads it."""
+
+    def __init__(self, kind: type[int] | type[float], *, positive: bool) -> None:
+        self.kind, self.positive = kind, positive
+
+    def __call__(self, text: str) -> float:
+        """Read it."""
+        try:
+            value = self.kind(text)
+        except ValueError:
+            what = "a whole number" if self.kind is int else "a number"
+            raise Refused(f"is {shown(text)}; it must be {what}.") from None
+        if self.positive and value < 1:
+            raise Refused(f"is {shown(text)}; it must be at least 1.")
+        return value
