@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.envs.base import WorldEnv
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, Pose
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
@@ -88,8 +88,10 @@ class TaskEnv(WorldEnv):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move to the commanded target, or as near to it as the limits allow in one control step.
 
+        Where its numbers mean no rotation, such as a quaternion of zeros, the hand keeps the one it has.
+
         Raises:
-            ValueError: Wrong shape, NaN or infinity, or numbers that mean no rotation.
+            ValueError: Wrong shape, NaN or infinity.
             RuntimeError: Called before `reset`.
         """
         values = self._checked(action)
@@ -108,7 +110,13 @@ class TaskEnv(WorldEnv):
         if self.action_mode == "joint":
             return self.world.reach_joints(action[:7], width)
         elbow = float(action[-1]) if self.action_layout.elbow else None
-        return self.world.reach(self.action_layout.pose(action), width, elbow=elbow)
+        return self.world.reach(self._pose(action), width, elbow=elbow)
+
+    def _pose(self, action: Array) -> Pose:
+        try:
+            return self.action_layout.pose(action)
+        except ValueError:  # no rotation; what is learned from scratch comes by such corners of the action space
+            return Pose(self.world.kinematics.forward(self.world.reference.q).rotation, action[:3])
 
     def _judge(self) -> tuple[bool, str]:
         """Tell whether the task's success has held long enough, and the reason of a failure."""

@@ -68,6 +68,8 @@ class ExportBridge:
                 f"An action here is {len(self.layout.names)} numbers ({', '.join(self.layout.names)}); given shape "
                 f"{row.shape}. A policy trained on another export tells its `layout`."
             )
+        if self.layout.mode == "ee":
+            self.layout.pose(row)  # from a policy that was taught rotations, none is a mistake
         _, reward, done, truncated, info = self.env.step(row.astype(np.float32))
         return self.observation(), reward, done, truncated, info
 

@@ -115,3 +115,17 @@ def test_doing_nothing_ends_in_a_named_failure() -> None:
 def test_a_wrong_action_mode_is_named() -> None:
     with pytest.raises(ValueError, match="action_mode must be one of 'ee', 'joint'; got 'joints'"):
         TaskEnv("can", action_mode="joints")
+
+
+@pytest.mark.parametrize("rotation", ["quat_wxyz", "rotation_6d"])
+def test_corners_of_the_action_space_that_mean_no_rotation_leave_the_hand_its_own(rotation: str) -> None:
+    env = TaskEnv("can", rotation=rotation, elbow=True)
+    env.reset(options={"condition": EASY})
+    start = env.world.state
+    n = len(env.action_space.low)
+    for _ in range(5):
+        env.step(np.float32((*start.ee.position, *np.zeros(n - 5), 0.08, start.q[2])))
+    np.testing.assert_allclose(env.world.state.ee.rotation, start.ee.rotation, atol=5e-3)
+    for corner in (env.action_space.low, env.action_space.high):
+        env.step(corner)
+    env.close()

@@ -126,6 +126,8 @@ def test_an_action_of_another_export_is_named(can: DemonstrationDataset) -> None
     bridge.reset(next(iter(can)).condition)
     with pytest.raises(ValueError, match=r"An action here is 9 numbers \(x, y, z, qw.*given shape \(8,\)"):
         bridge.step(np.zeros(8))
+    with pytest.raises(ValueError, match="to mean a rotation"):
+        bridge.step(np.zeros(9))
     bridge.close()
 
 
