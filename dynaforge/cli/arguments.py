@@ -25,6 +25,7 @@ from dynaforge.cli.options import (
     shard,
 )
 from dynaforge.cli.task_arguments import add_task_argument, chosen_task
+from dynaforge.cli.varied import check_varied
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import STREAMS
@@ -208,7 +209,7 @@ def compare(parser: argparse.ArgumentParser) -> None:
 
 
 def check_compare(options: argparse.Namespace) -> None:
-    """Refuse values that make no arms."""
+    """Refuse values that make no arms, a folder of other things, and a report of nothing."""
     setting, *values = options.vary or ("none", "1")
     if not setting.isidentifier():
         raise ValueError(f"--vary {shown(setting)} is no setting; write --vary learning_rate 5e-4 1e-3, say.")
@@ -216,6 +217,13 @@ def check_compare(options: argparse.Namespace) -> None:
         raise ValueError(f"--vary {setting} names no values; write --vary {setting} VALUE [VALUE ...].")
     if len(set(values)) < len(values):
         raise ValueError(f"--vary {setting} names a value twice: {' '.join(values)}.")
+    check_varied(setting, values)
+    out = options.out
+    if options.report_only and not any(out.glob("*/planner_only/exam.json")) and not any(out.glob("*/*/*/exam.json")):
+        raise ValueError(f"--report-only finds nothing finished in {out}; leave it out to start the runs.")
+    there = [path.name for path in out.iterdir() if path.name[0] != "."] if out.is_dir() else []
+    if there and not any(out.glob("*/planner_only")) and not any(out.glob("*/*/seed-*")):
+        raise ValueError(f"--out {out} holds other data ({there[0]}). Choose a new or empty folder.")
 
 
 def bench(parser: argparse.ArgumentParser) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import queue
 import subprocess
 import sys
@@ -18,12 +17,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.algos.options import check_whole
 from dynaforge.algos.settings import arms
 from dynaforge.cli import training
 from dynaforge.cli.forge_folder import make_folder
 from dynaforge.cli.runs import END_WITH_STDIN, Exam, RunSpec
 from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.varied import parsed_value
 from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
@@ -34,10 +33,13 @@ def run(options: argparse.Namespace) -> int:
     """Run what is missing, then write table and report."""
     specs = matrix(options)
     if options.report_only and not any(spec.finished for spec in specs):
-        raise ValueError(f"--report-only finds nothing finished in {options.out}; leave it out to start the runs.")
-    make_folder(options.out)
+        raise ValueError(
+            f"--report-only finds none of these runs finished in {options.out}; leave it out to start them."
+        )
     for spec in specs:
+        _refuse_links(spec.folder, options.out)
         spec.check()
+    make_folder(options.out)
     missing = [spec for spec in specs if not spec.finished]
     print(f"{len(specs)} runs, {len(specs) - len(missing)} finished; stored in {options.out}")
     complete = not missing
@@ -88,38 +90,40 @@ def matrix(options: argparse.Namespace) -> list[RunSpec]:
     return specs
 
 
+def _refuse_links(folder: Path, out: Path) -> None:
+    """Refuse to write through links of a folder that may be a stranger's: they lead anywhere.
+
+    Raises:
+        ValueError: Names the link.
+    """
+    below = folder.relative_to(out).parts
+    for depth in range(1, len(below) + 1):
+        path = out.joinpath(*below[:depth])
+        if path.is_symlink():
+            raise ValueError(
+                f"{path} is a link, and runs are not written through one. Remove it, or choose another --out."
+            )
+
+
 def _varied(arm: str, settings: dict[str, Any], vary: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
     if not vary:
         return [(arm, settings)]
     setting, *values = vary
-    return [(f"{arm}+{setting}={value}", settings | {setting: _parsed(value)}) for value in values]
-
-
-def _parsed(value: str) -> Any:
-    try:
-        parsed = json.loads(value)
-    except json.JSONDecodeError:
-        return value
-    if isinstance(parsed, float) and not math.isfinite(parsed):
-        raise ValueError(f"--vary: {value!r} is no finite number.")
-    return parsed
+    return [(f"{arm}+{setting}={value}", settings | {setting: parsed_value(value)}) for value in values]
 
 
 def _check_settings(algo: str, changes: dict[str, Any], task: str) -> None:
     """Build the model once, on a single env.
 
     Raises:
-        ValueError: A setting that the algorithm does not know or refuses, or a number of envs that is none.
+        ValueError: A setting that the algorithm does not know or refuses.
     """
     import gymnasium as gym
 
-    if "n_timesteps" in changes:
-        raise ValueError("n_timesteps is what --steps says, for all arms alike")
     env = gym.make(env_id(task))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # PPO's batch does not suit a single env
-            check_whole("n_envs", changes.get("n_envs", 1), 1, "episodes run in them")
             training.build_model(task, env, algo=algo, **changes)
     except (TypeError, AssertionError) as error:  # SB3 asserts that a schedule is one
         raise ValueError(f"{algo} with {changes}: {str(error).rstrip('.')}.") from error

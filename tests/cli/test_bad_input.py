@@ -131,11 +131,12 @@ from dynaforge.cli.main import main
 for command in {list(COMMANDS)!r}:
     assert main([command, "--nonsense"]) == 2
 assert main(["collect", "--seed", "-1"]) == main(["evaluate", "--task", "cann"]) == main(["info", "gone"]) == 2
+assert main(["compare", "--vary", "n_steps", "0"]) == main(["compare", "--report-only", "--out", "new"]) == 2
 print([name for name in ("torch", "pybullet", "pinocchio", "matplotlib", "rich") if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert done.stdout == "[]\n"
-    assert done.stderr.count("\n") == len(COMMANDS) + 3
+    assert done.stderr.count("\n") == len(COMMANDS) + 5
     assert not list(tmp_path.iterdir())
 
 

@@ -51,11 +51,14 @@ def test_a_setting_may_be_varied(tmp_path: Path) -> None:
         (["--train-seeds", "0"], "--train-seeds is 0; it must be at least 1"),
         (["--algos", "grpo", "--vary", "learning_rat", "1"], "unexpected keyword argument 'learning_rat'"),
         (["--algos", "grpo", "--vary", "group_size", "1"], "group_size is 1, but must be at least 2"),
-        (["--algos", "ppo", "--vary", "learning_rate", "fast"], "--vary: ppo with {'learning_rate': 'fast'}"),
+        (["--algos", "ppo", "--vary", "learning_rate", "fast"], "--vary: learning_rate is 'fast', but must be"),
         (["--algos", "ppo", "--vary", "learning_rate", "NaN"], "--vary: 'NaN' is no finite number"),
         (["--algos", "ppo", "--report-only"], "--report-only finds nothing finished"),
         (["--vary", "group_size"], "--vary group_size names no values"),
         (["--algos", "grpo", "--vary", "n_envs", "0"], "n_envs is 0, but must be at least 1"),
+        (["--algos", "ppo", "--vary", "batch_size", "1.5"], "--vary: batch_size is 1.5, but must be a whole number"),
+        (["--algos", "ppo", "--vary", "gamma", "1", "2"], "--vary: gamma is 2, but must be at most 1"),
+        (["--vary", "seed", "1", "2"], "--vary: seed is counted up by --train-seeds"),
         (["--algos", "grpo", "--vary", "n_timesteps", "10"], "n_timesteps is what --steps says"),
         (["--algos", "grpo", "--vary", "learning_rate", "fast"], "learning_rate is 'fast', but must be a number"),
     ],
@@ -66,6 +69,24 @@ def test_mistakes_are_said_before_any_run(
     assert main(["compare", *arguments, "--out", str(tmp_path / "runs")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+def test_only_a_folder_of_runs_is_written_to_and_no_link_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    assert main(["compare", "--out", str(tmp_path / "mine")]) == 2
+    assert "holds other data (thesis.txt)" in capsys.readouterr().err
+    for link in ("can", "can/planner_only", "can/ppo", "can/ppo/seed-0"):
+        out = tmp_path / f"a stranger's {link.replace('/', '-')}"
+        path = out / link
+        path.parent.mkdir(parents=True)
+        path.symlink_to(tmp_path / "mine")
+        (out / "peach" / "planner_only").mkdir(parents=True)
+        assert main(["compare", "--algos", "ppo", "--train-seeds", "1", "--out", str(out)]) == 2
+        assert f"{path} is a link" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["thesis.txt"]
 
 
 def test_a_run_survives_json(tmp_path: Path) -> None:
