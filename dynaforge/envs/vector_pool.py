@@ -18,6 +18,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from dynaforge.envs.interrupts import put_off
 from dynaforge.envs.processes import guard_hint, worker_context, worker_environment
 from dynaforge.envs.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
 from dynaforge.envs.vector_worker import (
@@ -108,10 +109,11 @@ class WorkerPool:
             self._await()
         for worker, message in messages.items():
             try:
-                self._pipes[worker].send_bytes(message)
+                with put_off():  # a command that is sent and not noted would leave its answer to the next one
+                    self._pipes[worker].send_bytes(message)
+                    self._pending.add(worker)
             except OSError:
                 raise self._lost(worker) from None
-            self._pending.add(worker)
 
     def collect(self) -> dict[int, Any]:
         """Wait for the answer of every worker that has a command and return the payloads by worker.
@@ -177,10 +179,11 @@ class WorkerPool:
             # A worker that owes nothing speaks only by dying; one that died may have answered before.
             if worker not in self._pending or (descriptor != pipe.fileno() and not pipe.poll()):
                 raise EOFError
-            answer = pipe.recv_bytes()
+            with put_off():  # half an answer that is read, or a whole one that still counts as owed, is worse
+                answer = pipe.recv_bytes()
+                self._pending.discard(worker)
         except (EOFError, OSError):
             raise self._lost(worker) from None
-        self._pending.discard(worker)
         return answer
 
     def _check_progress(self, seen: dict[int, tuple[int, float]]) -> None:

@@ -404,6 +404,40 @@ def test_a_step_cut_short_by_reset_leaves_no_stale_answer(make):
     assert env.env_method("double", 2) == [4, 4]
 
 
+class InterruptedPipe:
+    """A pipe during whose every call Ctrl-C arrives, once the bytes are through."""
+
+    def __init__(self, pipe):
+        self.pipe = pipe
+
+    def __getattr__(self, name):
+        return getattr(self.pipe, name)
+
+    def send_bytes(self, message):
+        self.pipe.send_bytes(message)
+        signal.raise_signal(signal.SIGINT)
+
+    def recv_bytes(self):
+        answer = self.pipe.recv_bytes()
+        signal.raise_signal(signal.SIGINT)
+        return answer
+
+
+def test_ctrl_c_inside_a_message_leaves_no_answer_to_the_wrong_command(make):
+    env = make(2)
+    env.reset()
+    whole = env._pool._pipes[1]
+    for interrupted in (env.reset, lambda: env.step(np.zeros((2, 2))), lambda: env.get_attr("metadata")):
+        env._pool._pipes[1] = InterruptedPipe(whole)
+        with pytest.raises(KeyboardInterrupt):
+            interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            env._pool.collect()
+        env._pool._pipes[1] = whole
+        assert env.env_method("double", 1) == [2, 2]
+        assert env.reset().shape == (2, *env.observation_space.shape)
+
+
 def test_dropping_the_env_ends_its_workers(make):
     env = SharedMemoryVecEnv([RandomWalk, RandomWalk])
     pids = env.env_method("pid")
