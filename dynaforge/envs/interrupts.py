@@ -30,5 +30,5 @@ def put_off() -> Iterator[None]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number, frame in came.items():
-            handlers[signal.Signals(number)](number, frame)
+        for came_first, frame in came.items():
+            handlers[signal.Signals(came_first)](came_first, frame)
