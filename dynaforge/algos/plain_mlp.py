@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
@@ -45,6 +46,8 @@ def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
         return (
             "this one sees observations through VecNormalize: train without `normalize`, the env's are scaled already"
         )
+    if wrapper := _changing_wrapper(model):
+        return f"this one's env stands in a {wrapper}, which the file would leave out: train without it"
     if policy.squash_output:
         return "this one squashes its output: train without `squash_output`"
     extractor = type(policy.features_extractor)
@@ -66,6 +69,16 @@ def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
     if not kinds <= {nn.Tanh, nn.ReLU}:
         return f"this one's activation is {kinds.pop().__name__}; Tanh and ReLU are supported"
     return ""
+
+
+def _changing_wrapper(model: BaseAlgorithm) -> str:
+    """Name the kind of Gymnasium wrapper that changes what the policy sees or does; "" if there is none to be seen."""
+    env = model.get_env()
+    try:
+        kinds = [kind for kind in (gym.ObservationWrapper, gym.ActionWrapper) if env and any(env.env_is_wrapped(kind))]
+    except (OSError, EOFError, RuntimeError):  # its workers are gone: nothing is left to ask
+        return ""
+    return f"gymnasium.{kinds[0].__name__}" if kinds else ""
 
 
 def _array(parameter: th.Tensor) -> NDArray[np.float32]:

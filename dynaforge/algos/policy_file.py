@@ -68,6 +68,9 @@ class MlpPolicyFile:
     def of(model: BaseAlgorithm, *, task: str | Task, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
         """Take the policy out of a trained SB3 on-policy model with "MlpPolicy".
 
+        What stood between model and env is read off its env: one that `PPO.load` read without its env must have been
+        trained without VecNormalize.
+
         Raises:
             ValueError: Unknown task, sizes that do not fit it, or a policy of which the file would not hold all:
                 anything but a plain MLP from a flat observation to an action in [-1, 1].

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch as th
 from gymnasium import spaces
+from gymnasium.wrappers import NormalizeObservation
 from safetensors.numpy import save
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
@@ -86,6 +87,11 @@ class OwnExtractor(BaseFeaturesExtractor):
         return 2.0 * observations
 
 
+class Reversed(gym.ActionWrapper):
+    def action(self, action: np.ndarray) -> np.ndarray:
+        return -action
+
+
 class OwnPolicy(CriticFreePolicy):
     pass
 
@@ -101,6 +107,11 @@ def normalised() -> VecNormalize:
         (lambda: FrontierGRPO(OwnPolicy, SizedAsCan()), "not OwnPolicy"),
         (lambda: FrontierGRPO("MlpPolicy", normalised()), "VecNormalize"),
         (lambda: PPO("MlpPolicy", normalised(), device="cpu"), "VecNormalize"),
+        (
+            lambda: PPO("MlpPolicy", NormalizeObservation(SizedAsCan()), device="cpu"),
+            "in a gymnasium.ObservationWrapper",
+        ),
+        (lambda: FrontierGRPO("MlpPolicy", Reversed(SizedAsCan())), "in a gymnasium.ActionWrapper"),
         (
             lambda: FrontierGRPO("MlpPolicy", SizedAsCan(), use_sde=True, policy_kwargs={"squash_output": True}),
             "squashes its output",
