@@ -46,11 +46,12 @@ class ExportBridge:
         self.layout = layout
         self._settings = settings
         self._views = None if settings is None else Views(settings)
+        self._signs: dict[str, NDArray[Any]] | None = None  # of quaternions so far; no episode yet
 
     def reset(self, condition: Condition) -> dict[str, NDArray[Any]]:
         """Start the episode of a condition and return its first observation."""
         self.env.reset(options={"condition": condition})
-        self._signs: dict[str, NDArray[Any]] = {}
+        self._signs = {}
         return self.observation()
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
@@ -68,8 +69,10 @@ class ExportBridge:
                 f"An action here is {len(self.layout.names)} numbers ({', '.join(self.layout.names)}); given shape "
                 f"{row.shape}. A policy trained on another export tells its `layout`."
             )
-        if self.layout.mode == "ee":
-            self.layout.pose(row)  # from a policy that was taught rotations, none is a mistake
+        if np.isfinite(row).all():
+            row = np.clip(row, self.env.action_space.low, self.env.action_space.high)  # type: ignore[attr-defined]
+            if self.layout.mode == "ee":
+                self.layout.pose(row)  # from a policy that was taught rotations, none is a mistake
         _, reward, done, truncated, info = self.env.step(row.astype(np.float32))
         return self.observation(), reward, done, truncated, info
 
@@ -80,7 +83,12 @@ class ExportBridge:
         first four of these side by side (15), as LeRobot's `observation.state`; of every object
         `<name>_position` and so on, and `object_state`, all of these side by side; with settings `<camera>_image`
         (H, W, 3) uint8, `<camera>_depth` (H, W) uint16 in tenths of a millimetre, `points` and `point_colors`.
+
+        Raises:
+            RuntimeError: Called before `reset`.
         """
+        if self._signs is None:
+            raise RuntimeError("observation() before reset(): call reset(condition) first.")
         state = self.env.world.state
         steps = measured([state], self.env.task)
         robot, objects = robot_columns(steps), object_columns(steps)
@@ -99,6 +107,7 @@ class ExportBridge:
     def _steady(self, name: str, value: NDArray[Any]) -> NDArray[Any]:
         """Keep the sign of a quaternion from one control step to the next, as exports do."""
         if name.endswith("_quat_wxyz"):
+            assert self._signs is not None
             before = self._signs.get(name, value)
             self._signs[name] = value = -value if float(value @ before) < 0.0 else value
         return value

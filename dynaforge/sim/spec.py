@@ -196,7 +196,7 @@ class SceneSpec:
             key = error.args[0] if isinstance(error, KeyError) and error.args else ""
             hint = f" It has {sorted(condition.values)}.{close_match(key, condition.values)}" if key else ""
             raise ValueError(
-                f"{who} raised {type(error).__name__}: {error} at condition {condition.id}.{hint}"
+                f"{who} raised {type(error).__name__}: {str(error).rstrip('.')} (at condition {condition.id}).{hint}"
             ) from error
         check_kind(f"What {who} returns", starts, Mapping)
         for name, start in starts.items():

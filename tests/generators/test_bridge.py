@@ -123,11 +123,16 @@ def test_the_bridge_sees_through_the_cameras_of_an_export(can: DemonstrationData
 
 def test_an_action_of_another_export_is_named(can: DemonstrationDataset) -> None:
     bridge = ExportBridge(get_task("can"))
+    with pytest.raises(RuntimeError, match=r"before reset\(\)"):
+        bridge.observation()
     bridge.reset(next(iter(can)).condition)
     with pytest.raises(ValueError, match=r"An action here is 9 numbers \(x, y, z, qw.*given shape \(8,\)"):
         bridge.step(np.zeros(8))
     with pytest.raises(ValueError, match="to mean a rotation"):
         bridge.step(np.zeros(9))
+    with pytest.raises(ValueError, match="finite numbers"):
+        bridge.step(np.full(9, np.inf))
+    bridge.step(np.full(9, 1e300))  # clipped to the action space
     bridge.close()
 
 
