@@ -31,9 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     show_anything()
     if arguments and arguments[0] in ZOO:
-        from dynaforge.cli.zoo import main as zoo
-
-        return zoo(arguments)
+        return _zoo(arguments)
     name = arguments[0] if arguments else ""
     if name not in COMMANDS:
         return _overview(name, arguments[1:])
@@ -57,6 +55,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not isinstance(error, (GaveUp, NoWorkers, WorkerDied)):
             raise
         return _tell(name, error, status=1)
+
+
+def _zoo(arguments: Sequence[str]) -> int:
+    """Run a script of rl_zoo3; what it cannot begin with is a mistake, as in the other commands."""
+    from dynaforge.cli.zoo import ZooFailure
+    from dynaforge.cli.zoo import main as zoo
+
+    try:
+        return zoo(arguments)
+    except SystemExit as refusal:
+        if not isinstance(refusal.code, str):
+            raise
+        print(refusal.code, file=sys.stderr)
+        return 1 if isinstance(refusal.__cause__, ZooFailure) else 2
 
 
 @contextlib.contextmanager

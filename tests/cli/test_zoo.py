@@ -32,6 +32,11 @@ def run(*arguments: str) -> str:
     return message
 
 
+def test_a_mistake_in_a_zoo_command_is_status_2_as_in_the_others(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--algo", "ppo", "--env", "cann"]) == 2
+    assert capsys.readouterr().err == "dynaforge: no env 'cann'. Did you mean 'can'?\n"
+
+
 @pytest.mark.parametrize("arguments", [[], ["trian", "--algo", "ppo"], ["--algo", "ppo"]])
 def test_anything_but_a_script_of_the_zoo_is_refused(arguments: list[str]) -> None:
     assert "expected 'train', 'enjoy', 'record_video'" in run(*arguments)
