@@ -136,6 +136,8 @@ class Written:
     def __call__(self, text: str) -> Path:
         """Read it."""
         path = _path(text)
+        if any("\udc80" <= letter <= "\udcff" for letter in text):  # how Python carries bytes that are no text
+            raise Refused(f"is {shown(text)}, no text in this locale; choose another, or set LC_ALL=C.UTF-8.")
         if not text.isprintable():
             raise Refused(f"is {shown(text)}; a name with control characters makes no good {self.kind}.")
         mode = _mode(path)

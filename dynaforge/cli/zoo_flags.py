@@ -14,6 +14,9 @@ from dynaforge.sim.checks import shown
 AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}
 """Numbers that may not be 0: their scripts divide by them, or go on without end."""
 
+NEEDED = {"all_plots": ("algos", "env", "exp_folders"), "plot_from_file": ("input",)}
+"""Flags without which a script raises, though it does not say that it requires them."""
+
 
 def zoo_parser(script: str, *, complete: bool = True) -> Parser:
     """Return a parser of what a script of rl_zoo3 takes, and of --trusted; its own defaults are left to the script.
@@ -29,7 +32,11 @@ def zoo_parser(script: str, *, complete: bool = True) -> Parser:
     for call in _calls(_source(script), "add_argument"):
         names = [_value(name) for name in call.args]
         said = {word.arg: word.value for word in call.keywords}
-        parser.add_argument(*names, **_meaning(said, names[-1].lstrip("-").replace("-", "_"), complete))
+        name = names[-1].lstrip("-").replace("-", "_")
+        meaning = _meaning(said, name)
+        if "required" in meaning:
+            meaning["required"] = complete and (meaning["required"] or name in NEEDED.get(script, ()))
+        parser.add_argument(*names, **meaning)
     parser.add_argument("--trusted", action="store_true")
     parser.add_argument("-h", "--help", action="store_true")
     return parser
@@ -60,14 +67,14 @@ def _calls(tree: ast.Module, method: str) -> Iterator[ast.Call]:
             yield node
 
 
-def _meaning(said: dict[str | None, ast.expr], name: str, complete: bool) -> dict[str, Any]:
+def _meaning(said: dict[str | None, ast.expr], name: str) -> dict[str, Any]:
     """Translate what a script says of a flag, as far as it can be read without running it."""
     if _value(said.get("action")) == "store_true":
         return {"action": "store_true"}
     kind = said.get("type")
     meaning: dict[str, Any] = {
         "nargs": _value(said.get("nargs")),
-        "required": complete and _value(said.get("required")) is True,
+        "required": _value(said.get("required")) is True,
     }
     if isinstance(choices := _value(said.get("choices")), list):
         meaning["type"] = Choice("choice", choices)

@@ -46,7 +46,7 @@ def nonsense(kind: object) -> tuple[str, ...]:
         case Written():
             wrong = "a folder" if kind.kind == "file" else "a file"
             taken = ["data"] if kind.empty or kind.holding or kind.new else []
-            return (*NO_PATH, "a\nb", "a file/below", "a link/below", "a link", wrong, *taken)
+            return (*NO_PATH, "a\nb", "\udce4", "a file/below", "a link/below", "a link", wrong, *taken)
     return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of cli/options.py
 
 

@@ -131,7 +131,16 @@ def test_flags_are_read_as_the_script_reads_them(script: str, monkeypatch: pytes
 
 
 def test_a_slip_in_a_flag_is_told_before_anything_heavy_is_imported() -> None:
-    lines = ("train --foo", "train --algo ppo", "train --algo popo --env can", "enjoy -n x", "plot_train", "train x")
+    lines = (
+        "train --foo",
+        "train --algo ppo",
+        "train --algo popo --env can",
+        "enjoy -n x",
+        "plot_train",
+        "train x",
+        "all_plots",
+        "plot_from_file --trusted",
+    )
     code = f"""
 import sys
 from dynaforge.cli import zoo
