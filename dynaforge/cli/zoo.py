@@ -226,7 +226,7 @@ def _check_algorithm(algo: str) -> None:
     known = (*zoo_algorithms(), *ALGORITHMS)
     if algo not in known:
         close = difflib.get_close_matches(algo, known, n=1, cutoff=0.5)
-        hint = f" Did you mean {close[0]!r}?" if close else ""
+        hint = f" Did you mean {close[0]!r}?" if close else f" Known are {', '.join(known)}."
         raise SystemExit(f"dynaforge: no algorithm {algo!r}.{hint}")
 
 
