@@ -121,10 +121,10 @@ class Ledger:
         """Add one line; on disk when this returns, if `fsync`.
 
         Raises:
-            OSError: The file is not writable or the disk is full.
+            OSError: The file is not writable, or a link that might lead anywhere, or the disk is full.
         """
         line = _line(attempt)
-        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        descriptor = self._opened()
         try:
             size = os.fstat(descriptor).st_size
             # A writer that was killed may have left half a line: begin a fresh one. A superfluous break is harmless.
@@ -137,6 +137,15 @@ class Ledger:
                     os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+    def _opened(self) -> int:
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
+        try:
+            return os.open(self.path, flags, 0o666)
+        except OSError as error:
+            if error.errno == errno.ELOOP:
+                raise OSError(errno.ELOOP, "a ledger that is a link is not written to", str(self.path)) from error
+            raise
 
     def attempts(self) -> list[Attempt]:
         """Return the attempts in order of writing; of several with one id, the first.

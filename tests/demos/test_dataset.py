@@ -155,3 +155,13 @@ def test_foreign_marker_is_named(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
     with pytest.raises(DamagedFileError, match=r"dataset\.json"):
         DemonstrationDataset(tmp_path, task="can")
+
+
+def test_a_ledger_that_is_a_link_is_not_written_to(tmp_path: Path) -> None:
+    """A folder from a stranger may hold a link to any file of the user's."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.touch()
+    (tmp_path / "ledger.jsonl").symlink_to(elsewhere)
+    with pytest.raises(OSError, match="a ledger that is a link is not written to"):
+        Ledger(tmp_path / "ledger.jsonl").append(Attempt.of(make_episode(0)))
+    assert not elsewhere.read_bytes()
