@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
+from pathlib import Path
 
 import pytest
 from demo_episodes import make_episode
