@@ -27,6 +27,7 @@ from dynaforge.demos.exporters import read_frames
 from dynaforge.tasks.action import ActionLayout
 
 AHEAD, TAKEN = 16, 4  # control steps answered, and taken before the next look
+HIDDEN = 512
 WEIGHTS = Path("runs/small-imitator")
 
 
@@ -39,11 +40,13 @@ def inputs(observation: Mapping[str, NDArray[np.float32]], step: float) -> NDArr
 
 def network(n_inputs: int, n_outputs: int) -> nn.Sequential:
     """Three hidden layers; inputs and outputs are brought to unit size by its first and last layers."""
-    hidden = [layer for n in (256, 256) for layer in (nn.Linear(256, n), nn.SiLU())]
+    hidden = [layer for _ in range(2) for layer in (nn.Linear(HIDDEN, HIDDEN), nn.SiLU())]
     scale_in, scale_out = nn.Linear(n_inputs, n_inputs), nn.Linear(n_outputs, n_outputs)
     for fixed in (scale_in, scale_out):
         fixed.requires_grad_(False)
-    return nn.Sequential(scale_in, nn.Linear(n_inputs, 256), nn.SiLU(), *hidden, nn.Linear(256, n_outputs), scale_out)
+    return nn.Sequential(
+        scale_in, nn.Linear(n_inputs, HIDDEN), nn.SiLU(), *hidden, nn.Linear(HIDDEN, n_outputs), scale_out
+    )
 
 
 def samples(folder: Path) -> tuple[th.Tensor, th.Tensor]:
