@@ -393,6 +393,11 @@ def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     assert "Loading" in enjoyed
     assert "Episode" in enjoyed
 
+    kept = sorted(int(path.stem.split("_")[-2]) for path in first.glob("rl_model_*_steps.zip"))
+    for chosen in (["--load-best"], ["--load-last-checkpoint"], ["--load-checkpoint", str(kept[0])]):
+        short = [*which, "-n", "12", "--no-render", "--trusted", "--exp-id", "1"]
+        assert "Loading" in zoo_process(tmp_path, "enjoy", *short, *chosen, "--reward-log", str(tmp_path / "rewards"))
+
     record = ["--algo", algo, "--env", "DynaForge/Can-v0", "-n", "4", "--deterministic", "--trusted"]
     zoo_process(tmp_path, "record_training", *record, "--exp-id", "2")  # finds logs by itself
     assert (second / "videos" / "training.mp4").stat().st_size > 1000
