@@ -29,8 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Export everything, whole or not at all."""
     write = exporter(options.format)
     dataset, task = open_dataset(options)
-    source = options.folder.resolve()
-    out = options.out or source.with_name(f"{source.name}-{options.format}")
+    out = options.out
     if out.exists():
         raise FileExistsError(f"{out} exists already. Choose another --out, or remove it.")
     observations = _observations(options, dataset)
@@ -99,7 +98,7 @@ def _contents(task: Task, episode: Frames, layout: str) -> dict[str, str]:
     """Say what each step holds, for the card."""
     seen = [*episode.images, *(f"depth of {camera}" for camera in episode.depths)]
     seen += ["points"] if episode.points is not None and layout != "lerobot" else []
-    arguments = ", ".join(f"{name}={value!r}" for name, value in episode.env_arguments.items())
+    arguments = ", ".join(f"{name}={value!r}" for name, value in episode.layout.env_arguments.items())
     return {
         "actions": ", ".join(episode.action_names),
         "env of the actions": f"`gymnasium.make({env_of(task)!r}, {arguments})`",

@@ -150,12 +150,7 @@ def _write(folder: Path, episodes: Iterable[Frames]) -> None:
 
 
 def _rows(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
-    yield "state", episode.state
-    yield "action", episode.actions
-    yield "dq", episode.robot["dq"]
-    yield "phase", episode.phase
-    yield "gate", episode.gate
-    yield "contact", episode.contact
+    yield from episode.low_dimensional.items()
     if episode.points is not None:
         yield "points", episode.points.astype(np.float16)  # 0.24 mm at most, half the size
 

@@ -38,13 +38,8 @@ class ExportBridge:
     ) -> None:
         check_kind("layout", layout, ActionLayout)
         check_kind("settings", settings, (ObservationSettings, type(None)))
-        rotation = layout.rotation if layout.mode == "ee" else "rotvec"
-        self.env = TaskEnv(
-            task, action_mode=layout.mode, rotation=rotation, elbow=layout.elbow,
-            visuals=False if settings is None else "plain",
-        )  # fmt: skip
+        self.env = TaskEnv(task, **layout.env_arguments, visuals=False if settings is None else "plain")
         self.layout = layout
-        self._settings = settings
         self._views = None if settings is None else Views(settings)
         self._signs: dict[str, NDArray[Any]] | None = None  # of quaternions so far; no episode yet
 

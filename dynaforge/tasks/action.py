@@ -76,6 +76,13 @@ class ActionLayout:
             return (*JOINTS, "width")
         return ("x", "y", "z", *ROTATIONS[self.rotation], "width", *(("elbow",) if self.elbow else ()))
 
+    @property
+    def env_arguments(self) -> dict[str, Any]:
+        """What `TaskEnv`, or `gymnasium.make` of its id, takes so that such actions belong to it."""
+        if self.mode == "joint":
+            return {"action_mode": "joint"}
+        return {"action_mode": "ee", "rotation": self.rotation, "elbow": self.elbow}
+
     def bounds(self, q_lower: Array, q_upper: Array, width_max: float) -> tuple[Array, Array]:
         """Return the least and the greatest value of every component, float32, shape (d,)."""
         if self.mode == "joint":

@@ -229,7 +229,7 @@ def test_the_env_of_an_export_is_the_bridge_s(can: DemonstrationDataset) -> None
     import gymnasium as gym
 
     frames = next(frames_of(can, "ee"))
-    env = gym.make(env_of(get_task("can")), **frames.env_arguments)
+    env = gym.make(env_of(get_task("can")), **frames.layout.env_arguments)
     bridge = ExportBridge(get_task("can"))
     assert env.action_space == bridge.env.action_space
     assert frames.layout == EXPORTED

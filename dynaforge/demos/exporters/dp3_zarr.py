@@ -53,12 +53,7 @@ def _arrays(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
         raise ValueError(NEEDED)
     yield "point_cloud", episode.points
     yield "point_cloud_color", episode.point_colors
-    yield "state", episode.state
-    yield "action", episode.actions
-    yield "dq", episode.robot["dq"]
-    yield "phase", episode.phase
-    yield "gate", episode.gate
-    yield "contact", episode.contact
+    yield from episode.low_dimensional.items()
     if episode.privileged:
         yield "privileged_state", episode.object_state
     for k, (camera, film) in enumerate(episode.images.items()):
@@ -77,4 +72,4 @@ def _describe(root: Any, task: Task, episode: Frames) -> None:
     for name, components in names.items():
         root["data"][name].attrs["names"] = list(components)
     root.attrs["instruction"] = task.instruction
-    root.attrs["env"] = {"id": env_of(task), **episode.env_arguments}
+    root.attrs["env"] = {"id": env_of(task), **episode.layout.env_arguments}

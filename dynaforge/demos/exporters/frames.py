@@ -95,12 +95,12 @@ class Frames:
         return [f"{key}_{axis}" for key in self.objects for axis in axes_of(key)]
 
     @property
-    def env_arguments(self) -> dict[str, Any]:
-        """What `gymnasium.make` takes besides the id of `env_of` to make the env that the actions belong to."""
-        layout = self.layout
-        if layout.mode == "joint":
-            return {"action_mode": "joint"}
-        return {"action_mode": "ee", "rotation": layout.rotation, "elbow": layout.elbow}
+    def low_dimensional(self) -> dict[str, NDArray[Any]]:
+        """What dp3-zarr and the pack hold of each control step beside what was rendered, by name."""
+        return {
+            "state": self.state, "action": self.actions, "dq": self.robot["dq"], "phase": self.phase,
+            "gate": self.gate, "contact": self.contact,
+        }  # fmt: skip
 
 
 def env_of(task: Task) -> str:

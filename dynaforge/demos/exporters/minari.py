@@ -84,7 +84,7 @@ def _spec(task: Task, frames: Frames) -> gym.envs.registration.EnvSpec | None:
     """Return what `recover_environment` makes the actions' env from; None for a task that no env is registered of."""
     spec = copy.deepcopy(gym.registry.get(env_of(task)))
     if spec is not None:
-        spec.kwargs |= frames.env_arguments
+        spec.kwargs |= frames.layout.env_arguments
     return spec
 
 

@@ -59,7 +59,7 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
 
 def _about(task: Task, episode: Frames) -> dict[str, Any]:
     """Describe the columns, the words, and the env that the actions, once unscaled, belong to."""
-    env = {"env_name": env_of(task), "type": GYM, "env_kwargs": episode.env_arguments}
+    env = {"env_name": env_of(task), "type": GYM, "env_kwargs": episode.layout.env_arguments}
     names = {**ROBOT_NAMES, **{PRIVILEGED + key: axes_of(key) for key in _truth(episode)}}
     return {
         "env_args": env, "action_names": episode.action_names, "observation_names": names,
