@@ -12,8 +12,8 @@ import numpy as np
 
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.film import film
-from dynaforge.demos import atomic_write
 from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.files.atomic import atomic_write
 from dynaforge.generators import PlannerOnly, ResidualGenerator
 from dynaforge.reports import encode_gif
 from dynaforge.tasks import get_task

@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dynaforge.demos import atomic_write
 from dynaforge.evaluation import Comparison
+from dynaforge.files.atomic import atomic_write
 from dynaforge.reports import task_figures
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dynaforge.demos import atomic_write
+from dynaforge.files.atomic import atomic_write
 from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import Task, get_task
 

@@ -19,7 +19,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.random_state import RandomState
-from dynaforge.demos import atomic_write
+from dynaforge.files.atomic import atomic_write
 
 FORMAT = "dynaforge-checkpoint"
 COUNTERS = ("num_timesteps", "_n_updates", "optimizer_steps", "transitions_used", "skipped_updates")

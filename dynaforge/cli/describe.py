@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 from dynaforge.cli.task_arguments import chosen_tasks
-from dynaforge.demos import atomic_write
+from dynaforge.files.atomic import atomic_write
 from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.tasks import Task, get_task
 

@@ -15,9 +15,10 @@ from tqdm import tqdm
 
 from dynaforge.cli.arguments import GENERATORS
 from dynaforge.cli.task_arguments import chosen_tasks
-from dynaforge.cli.versions import package_versions
-from dynaforge.demos import Attempt, atomic_write
+from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
+from dynaforge.files.atomic import atomic_write
+from dynaforge.files.versions import package_versions
 from dynaforge.generators import (
     Exploring,
     Generator,

@@ -24,8 +24,7 @@ from dynaforge.cli.forge_folder import ForgeFolder, asked_for
 from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.cli.training import TimeLimit, TrainingMonitor
-from dynaforge.cli.versions import package_versions
-from dynaforge.demos import Attempt, DemonstrationDataset, atomic_write
+from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.evaluation import (
     DgrReport,
     PairedDifference,
@@ -33,6 +32,8 @@ from dynaforge.evaluation import (
     comparison_table,
     paired_difference,
 )
+from dynaforge.files.atomic import atomic_write
+from dynaforge.files.versions import package_versions
 from dynaforge.generators import GaveUp, Generator, Goal, PlannerOnly, ResidualGenerator, collect, run_attempts
 from dynaforge.generators.giving_up import describe_counts, unless_all_raise
 from dynaforge.reports import (

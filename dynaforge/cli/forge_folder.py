@@ -31,7 +31,7 @@ class ForgeFolder:
         self.path = path
         self.resumed = (path / ABOUT).is_file()
         if not self.resumed:
-            from dynaforge.demos import atomic_write
+            from dynaforge.files.atomic import atomic_write
 
             atomic_write(path / ABOUT, json.dumps(about, indent=1).encode() + b"\n")
 
@@ -63,7 +63,7 @@ class ForgeFolder:
         """Return the plain data of a stage: stored by an earlier call of the command, or made now and stored."""
         path = self.path / f"{name}.json"
         if not path.is_file():
-            from dynaforge.demos import atomic_write
+            from dynaforge.files.atomic import atomic_write
 
             atomic_write(path, json.dumps(make()).encode() + b"\n")
         return _read(path)
@@ -76,7 +76,7 @@ def make_folder(folder: Path) -> None:
         ValueError: It cannot be made.
         PermissionError: It cannot be written to.
     """
-    from dynaforge.demos import check_writable
+    from dynaforge.files.atomic import check_writable
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from importlib import import_module
 
 from dynaforge.cli.commands import COMMANDS, ZOO
 from dynaforge.cli.terminal import show_anything
-from dynaforge.cli.versions import PACKAGES, package_versions
+from dynaforge.files.versions import PACKAGES, package_versions
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.algos.settings import hyperparameters
-from dynaforge.cli.versions import package_versions
-from dynaforge.demos import atomic_write
 from dynaforge.envs.processes import end_after
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
+from dynaforge.files.atomic import atomic_write
+from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.generators.giving_up import unless_all_raise
 from dynaforge.sim import Condition

@@ -22,11 +22,11 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.algos.settings import hyperparameters as hyperparameters
 from dynaforge.algos.settings import model_arguments
 from dynaforge.cli.sparkline import sparkline
-from dynaforge.cli.versions import package_versions
-from dynaforge.demos import atomic_write
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.evaluation.history import STRATA, TrainingHistory
+from dynaforge.files.atomic import atomic_write
+from dynaforge.files.versions import package_versions
 from dynaforge.tasks import ConditionSpace, Task
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}

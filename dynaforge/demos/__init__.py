@@ -1,12 +1,12 @@
 """Demonstrations: episodes, their files, the ledger of attempts, datasets."""
 
-from dynaforge.demos.atomic import atomic_write, check_writable
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode, episode_id
 from dynaforge.demos.episode_file import read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
 from dynaforge.demos.schema import SCHEMA, Field, schema_markdown
 from dynaforge.demos.untrusted import DamagedFileError
+from dynaforge.files.atomic import atomic_write, check_writable
 
 __all__ = [
     "SCHEMA",
@@ -16,8 +16,6 @@ __all__ = [
     "Episode",
     "Field",
     "Ledger",
-    "atomic_write",
-    "check_writable",
     "episode_id",
     "read_episode",
     "schema_markdown",

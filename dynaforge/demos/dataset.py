@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from dynaforge.demos.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
 from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable, read_json
+from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.sim.checks import check_flag, check_kind, check_task_name
 
 FORMAT = "dynaforge-demonstrations"

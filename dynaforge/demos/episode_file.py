@@ -18,7 +18,6 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.untrusted import (
     MALFORMED,
@@ -30,6 +29,7 @@ from dynaforge.demos.untrusted import (
     read_file,
     read_text,
 )
+from dynaforge.files.atomic import atomic_write
 
 FORMAT_VERSION = 2
 SUFFIX = ".h5"

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynaforge.demos.atomic import naming
 from dynaforge.demos.episode import Episode, check_outcome, episode_id
 from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
+from dynaforge.files.atomic import naming
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos.atomic import atomic_write
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX
 from dynaforge.demos.observation_file import AGAIN, SETTINGS, Layout, read_observations, write_observations
 from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_of, parse_json, printable, read_file
+from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, see, world_points
 from dynaforge.tasks import Task

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos.atomic import is_temporary
 from dynaforge.demos.audit import audit
 from dynaforge.demos.consistency import contradictions, is_planned
 from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
@@ -24,6 +23,7 @@ from dynaforge.demos.observations import ObservationFolder
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, files_in, kind_of, printable
+from dynaforge.files.atomic import is_temporary
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
 from dynaforge.tasks import Task

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.demos import atomic_write
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
+from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
 
 STRATA = 16

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos import Attempt, DemonstrationDataset, Episode, atomic_write
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
 from dynaforge.evaluation import DgrReport
+from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.video import contact_sheet
 from dynaforge.tasks import Task
 

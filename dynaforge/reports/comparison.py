@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import mean
 
-from dynaforge.demos import atomic_write
 from dynaforge.evaluation import COLUMNS, Comparison
+from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import ReportFigure, render
 from dynaforge.reports.plots import Format, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.template import COMPARISON

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dynaforge.demos import Attempt, atomic_write
+from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference, describe_gain
+from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.template import PAGE, STYLE
 

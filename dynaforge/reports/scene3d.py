@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.demos import Episode, atomic_write
+from dynaforge.demos import Episode
 from dynaforge.demos.replay import Replayer
+from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Pose
 from dynaforge.reports.extras import load_extra
 from dynaforge.sim.shapes import LinkKey, VisualShape, link_pose, visual_shapes

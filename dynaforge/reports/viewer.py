@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos import Attempt, Episode, atomic_write
+from dynaforge.demos import Attempt, Episode
+from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import render, script_data
 from dynaforge.reports.viewer_clips import EVERY, Filmer, Shown
 from dynaforge.reports.viewer_summary import STRATA, strata, summarise

@@ -9,7 +9,7 @@ import pytest
 from demo_episodes import make_episode
 
 from dynaforge.demos import Attempt, DamagedFileError, DemonstrationDataset, Ledger
-from dynaforge.demos import atomic as atomic_module
+from dynaforge.files import atomic as atomic_module
 
 
 def attempt(seed: int, *, success: bool = True) -> Attempt:

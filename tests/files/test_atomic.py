@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from dynaforge.demos import atomic_write, check_writable, read_episode
-from dynaforge.demos.atomic import is_temporary, remove_stale
+from dynaforge.demos import read_episode
+from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale
 
 DIE_AT = """
 import os, signal, sys
