@@ -17,9 +17,9 @@ from stable_baselines3.common.vec_env import VecEnv
 from dynaforge.algos.buffer import GroupRolloutBuffer
 from dynaforge.algos.outcomes import GroupOutcomes
 from dynaforge.algos.policies import renew_noise
-from dynaforge.envs.dispatch import EpisodeDispatcher, FinishedEpisode
-from dynaforge.envs.sampler import Job
-from dynaforge.envs.vec_wrappers import take_rows
+from dynaforge.sampling.dispatch import EpisodeDispatcher, FinishedEpisode
+from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.vec_wrappers import take_rows
 
 if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO

@@ -29,11 +29,11 @@ from dynaforge.algos.progress import TimestepProgressBar
 from dynaforge.algos.random_state import RandomState
 from dynaforge.algos.stopwatch import Stopwatch
 from dynaforge.algos.update import UpdateReport, UpdateSettings, update_policy
-from dynaforge.envs.dispatch import EpisodeDispatcher, FinishedEpisode
-from dynaforge.envs.sampler import ConditionSampler, SeedConditionSampler, StratifiedSampler
-from dynaforge.envs.vec_wrappers import WrapperStack
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
+from dynaforge.sampling.dispatch import EpisodeDispatcher, FinishedEpisode
+from dynaforge.sampling.sampler import ConditionSampler, SeedConditionSampler, StratifiedSampler
+from dynaforge.sampling.vec_wrappers import WrapperStack
 
 
 class FrontierGRPO(OnPolicyAlgorithm):

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
 
 from dynaforge.algos.advantages import frontier_mask
-from dynaforge.envs.dispatch import FinishedEpisode
-from dynaforge.envs.sampler import Group
 from dynaforge.geometry import Array
+from dynaforge.sampling.dispatch import FinishedEpisode
+from dynaforge.sampling.sampler import Group
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from typing import Any
 
 from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.task_arguments import chosen_tasks
-from dynaforge.envs.processes import usable_cores
 from dynaforge.files.atomic import atomic_write, check_writable
 from dynaforge.files.versions import package_versions
+from dynaforge.sampling.processes import usable_cores
 from dynaforge.tasks import Task
 
 QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs

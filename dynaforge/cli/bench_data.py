@@ -16,9 +16,9 @@ from dynaforge.cli.bench_figure import Figure, spread, tracked
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
-from dynaforge.envs.processes import usable_cores
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
 from dynaforge.generators.generator import ConstantResidual
+from dynaforge.sampling.processes import usable_cores
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_source
 

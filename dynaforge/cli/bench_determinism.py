@@ -19,9 +19,9 @@ from dynaforge.cli.bench_episodes import (
     seeded_actions,
 )
 from dynaforge.cli.bench_figure import Figure, tracked
-from dynaforge.envs.processes import begin_worker, worker_environment
 from dynaforge.envs.residual_env import GATE_MODES, ResidualEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.processes import begin_worker, worker_environment
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 

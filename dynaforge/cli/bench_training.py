@@ -17,7 +17,7 @@ from dynaforge.algos import FrontierGRPO
 from dynaforge.cli import training
 from dynaforge.cli.bench_figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
 
 MOST_TRAINER = 0.6  # times PPO's CPU a transition and epoch

@@ -18,8 +18,8 @@ import numpy as np
 
 from dynaforge.cli.bench_episodes import Busy, Witness
 from dynaforge.cli.bench_figure import Figure, spread, tracked
-from dynaforge.envs.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.registration import env_id
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.tasks import Task
 
 MOST_OVERHEAD = 20e-6  # CPU seconds an env-step beside the env's own

@@ -49,8 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         return _tell(name, error, status=2)
     except RuntimeError as error:
-        from dynaforge.envs.vector_errors import WorkerDied
         from dynaforge.generators import GaveUp, NoWorkers  # imported already, if it is one of them
+        from dynaforge.sampling.vector_errors import WorkerDied
 
         if not isinstance(error, (GaveUp, NoWorkers, WorkerDied)):
             raise

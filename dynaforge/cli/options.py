@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from dynaforge.algos.options import LARGEST_SEED
-from dynaforge.envs.processes import usable_cores
+from dynaforge.sampling.processes import usable_cores
 from dynaforge.sim.checks import close_match, shown
 
 Refused = argparse.ArgumentTypeError

@@ -19,7 +19,7 @@ from dynaforge.demos.observations import (
     ObservationSettings,
     standard_cameras,
 )
-from dynaforge.envs.processes import worker_pool
+from dynaforge.sampling.processes import worker_pool
 from dynaforge.sim.camera import Camera
 from dynaforge.tasks import Task
 

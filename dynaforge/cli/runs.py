@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.algos.settings import hyperparameters
-from dynaforge.envs.processes import end_after
 from dynaforge.evaluation import STRATA, Probe, TrainingHistory
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.sampling.processes import end_after
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest

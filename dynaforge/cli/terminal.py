@@ -8,7 +8,7 @@ import os
 import sys
 
 from dynaforge.cli.sparkline import BARS
-from dynaforge.envs.processes import fill_standard_descriptors
+from dynaforge.sampling.processes import fill_standard_descriptors
 
 PLAIN = {
     **dict(zip(BARS, "_.:-=+*#", strict=True)),  # a sparkline still rises

@@ -23,10 +23,10 @@ from dynaforge.algos.settings import hyperparameters as hyperparameters
 from dynaforge.algos.settings import model_arguments
 from dynaforge.cli.sparkline import sparkline
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.evaluation.history import STRATA, TrainingHistory
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import ConditionSpace, Task
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}

@@ -17,8 +17,8 @@ from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.observations import ObservationRenderer
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import EpisodeVerifier, Finding, Notes, read_notes, verify_folder
-from dynaforge.envs.processes import guard_hint, kill_pool, worker_pool
 from dynaforge.generators.repeat import Repeater
+from dynaforge.sampling.processes import guard_hint, kill_pool, worker_pool
 from dynaforge.tasks import Task
 
 WORTH_A_WORKER = {True: 4, False: 400}  # recordings, by whether they are simulated: a worker takes seconds to start

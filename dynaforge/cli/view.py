@@ -17,11 +17,11 @@ from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.observation_file import SETTINGS
 from dynaforge.demos.observations import FOLDER, ObservationFolder
-from dynaforge.envs.processes import worker_pool
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.scene3d import Scene3D, SceneRecorder, write_rerun, write_viser
 from dynaforge.reports.viewer import write_viewer
 from dynaforge.reports.viewer_clips import Filmer, Shown, camera_films
+from dynaforge.sampling.processes import worker_pool
 from dynaforge.tasks import Task
 
 # By the option, which is called as the module and the extra it needs.

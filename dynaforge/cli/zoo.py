@@ -25,7 +25,7 @@ from dynaforge.cli.zoo_checks import check_configuration, check_flags
 from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
 from dynaforge.cli.zoo_flags import zoo_algorithms, zoo_parser
 from dynaforge.cli.zoo_process import ZooProcess
-from dynaforge.envs.processes import worker_environment
+from dynaforge.sampling.processes import worker_environment
 from dynaforge.tasks import what_was_meant
 
 ALGORITHMS = ("frontier_grpo", "grpo")
@@ -245,7 +245,7 @@ def _zoo_process(
     """Arrange for as long as rl_zoo3 runs what it reads from the process, and what it does to our envs."""
     from rl_zoo3.exp_manager import ExperimentManager
 
-    from dynaforge.envs.vector_env import SharedMemoryVecEnv
+    from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
     with _one_line(script), closing(ZooProcess(script, flags, own_envs=own_env)) as process:
         if own_workers and script == "train":

@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Any
 
 from dynaforge.demos import Attempt, Episode
-from dynaforge.envs.processes import guard_hint, kill_pool, usable_cores, worker_pool
 from dynaforge.generators.generator import Generator, make_env
+from dynaforge.sampling.processes import guard_hint, kill_pool, usable_cores, worker_pool
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.user_code import in_one_line

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dynaforge.envs.processes import SINGLE_THREAD
 from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_once, lost
 from dynaforge.generators.generator import Generator, make_env
+from dynaforge.sampling.processes import SINGLE_THREAD
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.task_file import VARIABLE

@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from toy_envs import EndlessEnv, MatchEnv, TargetSampler
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 # --- learning --------------------------------------------------------------------------------------------------------
 

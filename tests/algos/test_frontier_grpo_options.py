@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from toy_envs import MatchEnv
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 # --- options ---------------------------------------------------------------------------------------------------------
 

@@ -19,10 +19,10 @@ from dynaforge.cli.bench_episodes import (
 from dynaforge.cli.bench_figure import Figure
 from dynaforge.cli.main import main
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
 from dynaforge.envs.world import World
 from dynaforge.geometry import JointTrajectory, Pose
 from dynaforge.planning import ArmKinematics, CollisionModel, Obstacle
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.sim import SimScene
 from dynaforge.sim.robot import franka
 from dynaforge.tasks import TASK_NAMES, get_task

@@ -168,7 +168,7 @@ def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None
 
 # What runs code, by the file that calls it: pipes to this program's own workers; names that are written in the program;
 # and what a user names on the command line to be run.
-OWN_WORKERS = {"envs/vector_pool.py", "envs/vector_worker.py", "envs/processes.py"}
+OWN_WORKERS = {"sampling/vector_pool.py", "sampling/vector_worker.py", "sampling/processes.py"}
 WRITTEN_HERE = {
     "cli/bench.py", "cli/main.py", "cli/zoo.py", "demos/exporters/__init__.py", "planning/plots_later.py",
     "reports/extras.py", "tasks/__init__.py",
@@ -190,4 +190,4 @@ def test_no_other_part_of_the_package_runs_what_it_reads() -> None:
         if pickled or any(ast.unparse(call.func) in RUNS_CODE for call in calls):
             found.add(path.relative_to(package).as_posix())
     assert found <= OWN_WORKERS | WRITTEN_HERE | NAMED_BY_USERS
-    assert {"tasks/user_code.py", "envs/vector_worker.py"} <= found
+    assert {"tasks/user_code.py", "sampling/vector_worker.py"} <= found

@@ -74,7 +74,7 @@ def test_workers_find_the_same_in_the_same_order(
 
 def test_few_open_files_make_fewer_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     resource = pytest.importorskip("resource")
-    from dynaforge.envs.processes import affordable_workers
+    from dynaforge.sampling.processes import affordable_workers
 
     for limit, most in ((64, 16), (256, 112), (20, 1)):
         monkeypatch.setattr(resource, "getrlimit", lambda _, limit=limit: (limit, limit))

@@ -280,7 +280,7 @@ def test_what_the_zoo_finds_in_the_process(
     zoo.register_with_zoo()
     from rl_zoo3.exp_manager import ExperimentManager
 
-    from dynaforge.envs.vector_env import SharedMemoryVecEnv
+    from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
     found: dict[str, Any] = {}
 

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from trajectory_hash import Traced, action, condition, run, traced_env
 
 from dynaforge.envs.task_env import TaskEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 CONDITIONS = [condition(2, 11), condition(6)]  # lifted by the actions of `action`; too fast for them
 IN_ANOTHER_PROCESS = """

@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecVideoRecorder
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.envs.rendering import Renderer
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.sim.spec import asset_path
 
 

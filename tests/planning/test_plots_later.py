@@ -6,7 +6,7 @@ import sys
 
 CODE = """
 import sys
-import dynaforge.envs.residual_env, dynaforge.envs.task_env, dynaforge.envs.vector_worker
+import dynaforge.envs.residual_env, dynaforge.envs.task_env, dynaforge.sampling.vector_worker
 assert "matplotlib" not in sys.modules
 from toppra.algorithm import algorithm
 from dynaforge.reports.plots import learning_curve

@@ -18,10 +18,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from stable_baselines3.common.vec_env.util import dict_to_obs, obs_space_info
 
-from dynaforge.envs.processes import usable_cores
-from dynaforge.envs.vector_errors import WorkerDied, WorkerError, WorkerFailed
-from dynaforge.envs.vector_pool import EnvFn, WorkerPool
-from dynaforge.envs.vector_worker import (
+from dynaforge.sampling.processes import usable_cores
+from dynaforge.sampling.vector_errors import WorkerDied, WorkerError, WorkerFailed
+from dynaforge.sampling.vector_pool import EnvFn, WorkerPool
+from dynaforge.sampling.vector_worker import (
     IDLE,
     STARTED,
     STEP,

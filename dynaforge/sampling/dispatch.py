@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from dynaforge.envs.job_routes import choose_route, idle_action
-from dynaforge.envs.sampler import Job
-from dynaforge.envs.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
+from dynaforge.sampling.job_routes import choose_route, idle_action
+from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
 
 ENDLESS = 100_000  # Steps after which an uncapped episode is taken for one that never ends.
 

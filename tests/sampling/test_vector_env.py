@@ -17,7 +17,7 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from dynaforge.envs.vector_env import SharedMemoryVecEnv, WorkerDied, WorkerFailed
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied, WorkerFailed
 
 # The toy envs travel by value: workers need not import this file, and with it torch.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

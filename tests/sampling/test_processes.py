@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 
-from dynaforge.envs import processes
-from dynaforge.envs.processes import usable_cores, worker_pool
+from dynaforge.sampling import processes
+from dynaforge.sampling.processes import usable_cores, worker_pool
 
 SCRIPT = """
 import os, time
-from dynaforge.envs.processes import worker_pool
+from dynaforge.sampling.processes import worker_pool
 
 class Mine:
     def begin(self): os.environ["BEGUN"] = "yes"
@@ -111,7 +111,7 @@ def test_workers_ignore_the_current_folder_and_end_with_a_killed_parent(parent: 
 
 
 def test_a_process_ends_with_the_pipe_it_was_given() -> None:
-    code = "import time; from dynaforge.envs.processes import end_after; end_after(0); time.sleep(60)"
+    code = "import time; from dynaforge.sampling.processes import end_after; end_after(0); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as child:
         child.stdin.close()
         assert child.wait(timeout=30) == 1

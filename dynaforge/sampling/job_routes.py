@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from dynaforge.envs.vec_wrappers import Observations, put_rows, take_rows
+from dynaforge.sampling.vec_wrappers import Observations, put_rows, take_rows
 
 Step = tuple[Observations, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]
 

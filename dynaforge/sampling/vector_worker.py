@@ -23,7 +23,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.processes import begin_worker
+from dynaforge.sampling.processes import begin_worker
 
 # What a step did to an env, one byte an env in the shared array "status".
 STEPPED, TRUNCATED, IDLE, STARTED = range(4)

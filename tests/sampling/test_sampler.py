@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from dynaforge.envs.sampler import SeedConditionSampler, StratifiedSampler
+from dynaforge.sampling.sampler import SeedConditionSampler, StratifiedSampler
 
 
 class Recorder:

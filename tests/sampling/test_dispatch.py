@@ -19,10 +19,10 @@ from stable_baselines3.common.vec_env import (
     VecVideoRecorder,
 )
 
-from dynaforge.envs.dispatch import EpisodeDispatcher
-from dynaforge.envs.job_routes import InProcessRoute, NativeRoute, StockRoute, choose_route, idle_action
-from dynaforge.envs.sampler import Job
-from dynaforge.envs.vector_env import SharedMemoryVecEnv
+from dynaforge.sampling.dispatch import EpisodeDispatcher
+from dynaforge.sampling.job_routes import InProcessRoute, NativeRoute, StockRoute, choose_route, idle_action
+from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 LENGTHS = [3, 1, 4, 1, 5, 2, 2]
 

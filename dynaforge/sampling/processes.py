@@ -86,7 +86,7 @@ def worker_context() -> Any:
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     if "forkserver" in methods:
-        context.set_forkserver_preload(["dynaforge.envs.residual_env", "dynaforge.envs.vector_worker"])
+        context.set_forkserver_preload(["dynaforge.envs.residual_env", "dynaforge.sampling.vector_worker"])
         with worker_environment():
             forkserver.ensure_running()
     return context

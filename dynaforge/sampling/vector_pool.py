@@ -18,10 +18,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynaforge.envs.interrupts import put_off
-from dynaforge.envs.processes import guard_hint, worker_context, worker_environment
-from dynaforge.envs.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
-from dynaforge.envs.vector_worker import (
+from dynaforge.sampling.interrupts import put_off
+from dynaforge.sampling.processes import guard_hint, worker_context, worker_environment
+from dynaforge.sampling.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
+from dynaforge.sampling.vector_worker import (
     CLOSE,
     EMPTY,
     FAILURE,
