@@ -9,7 +9,10 @@ import argparse
 from pathlib import Path
 
 from dynaforge.algos.settings import arms, known_algorithms
-from dynaforge.cli.options import (
+from dynaforge.cli.task_arguments import add_task_argument, chosen_task
+from dynaforge.cli.varied import check_varied
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.options.values import (
     MOST,
     SEED,
     Choice,
@@ -24,9 +27,6 @@ from dynaforge.cli.options import (
     one_of,
     shard,
 )
-from dynaforge.cli.task_arguments import add_task_argument, chosen_task
-from dynaforge.cli.varied import check_varied
-from dynaforge.demos import DemonstrationDataset
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import STREAMS
 

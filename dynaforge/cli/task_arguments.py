@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.options import Refused
+from dynaforge.options.values import Refused
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 

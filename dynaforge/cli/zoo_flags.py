@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.options import Choice, Parser, Refused
+from dynaforge.options.values import Choice, Parser, Refused
 from dynaforge.sim.checks import shown
 
 AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import main as entry
-from dynaforge.cli import options, task_arguments
+from dynaforge.cli import task_arguments
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
-from dynaforge.cli.options import Choice, Existing, Number, Refused, Text, Whole, Written
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.options import values as options
+from dynaforge.options.values import Choice, Existing, Number, Refused, Text, Whole, Written
 
 HUGE = ("9" * 30, "9" * 5000, "-" + "9" * 5000)
 NOT_A_NUMBER = ("", " ", "x", "nan", "-nan", "inf", "-inf", "1e400", "٣", "1_0", "1,5", "0x10", "1\n2", "1\0", "½")
@@ -47,7 +48,7 @@ def nonsense(kind: object) -> tuple[str, ...]:
             wrong = "a folder" if kind.kind == "file" else "a file"
             taken = ["data"] if kind.empty or kind.holding or kind.new else []
             return (*NO_PATH, "a\nb", "\udce4", "a file/below", "a link/below", "a link", wrong, *taken)
-    return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of cli/options.py
+    return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of options/values.py
 
 
 @cache
