@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dynaforge.evaluation import Comparison
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports import task_figures
+from dynaforge.training.comparison import Comparison
 
 
 def main() -> None:

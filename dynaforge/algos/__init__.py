@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO
-    from dynaforge.algos.settings import recommended
+    from dynaforge.training.settings import recommended
 
 __all__ = ["FrontierGRPO", "recommended"]
 
@@ -16,7 +16,7 @@ def __getattr__(name: str) -> Any:
 
         return FrontierGRPO
     if name == "recommended":
-        from dynaforge.algos.settings import recommended
+        from dynaforge.training.settings import recommended
 
         return recommended
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

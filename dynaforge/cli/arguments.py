@@ -8,9 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dynaforge.algos.settings import arms, known_algorithms
 from dynaforge.cli.task_arguments import add_task_argument, chosen_task
-from dynaforge.cli.varied import check_varied
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.options.values import (
     MOST,
@@ -29,6 +27,8 @@ from dynaforge.options.values import (
 )
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import STREAMS
+from dynaforge.training.settings import arms, known_algorithms
+from dynaforge.training.varied import check_varied
 
 GENERATORS = ("planner_only", "residual", "exploring", "oracle")
 COLLECTING = ("residual", "planner_only")  # the oracle knows the outcome beforehand, exploring is for training

@@ -14,11 +14,11 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.cli import training
 from dynaforge.cli.bench_figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
+from dynaforge.training import model as training
 
 MOST_TRAINER = 0.6  # times PPO's CPU a transition and epoch
 LEAST_SHARE = 0.8  # of two cores' time inside the workers' env.step

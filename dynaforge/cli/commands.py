@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dynaforge.cli import arguments, dataset_arguments
-from dynaforge.cli.forge_folder import default_folder
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.options.values import Parser
+from dynaforge.training.forge_folder import default_folder
 
 
 def _nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:

@@ -17,16 +17,16 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.algos.settings import arms
-from dynaforge.cli import training
-from dynaforge.cli.forge_folder import make_folder
-from dynaforge.cli.runs import END_WITH_STDIN, Exam, RunSpec
 from dynaforge.cli.task_arguments import chosen_tasks
-from dynaforge.cli.varied import parsed_value
-from dynaforge.evaluation import Comparison
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
 from dynaforge.tasks import task_source
+from dynaforge.training import model as training
+from dynaforge.training.comparison import Comparison
+from dynaforge.training.forge_folder import make_folder
+from dynaforge.training.run import END_WITH_STDIN, Exam, RunSpec
+from dynaforge.training.settings import arms
+from dynaforge.training.varied import parsed_value
 
 
 def run(options: argparse.Namespace) -> int:
@@ -189,7 +189,7 @@ class Crew:
         path.unlink(missing_ok=True)  # a link would lead out of the folder, which may be a stranger's
         with path.open("x") as log:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "dynaforge.cli.runs", spec.to_json(), END_WITH_STDIN],
+                [sys.executable, "-P", "-m", "dynaforge.training.run", spec.to_json(), END_WITH_STDIN],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True,
             )  # fmt: skip
         self._running[str(spec.folder)] = spec, process

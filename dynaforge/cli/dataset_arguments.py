@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.dataset_task import task_of
 from dynaforge.cli.task_arguments import add_own_task_argument
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.dataset_task import task_of
 from dynaforge.options.values import NAME, Distinct, Existing, Number, Text, Whole, Written, add_workers, one_of
 from dynaforge.tasks import Task
 

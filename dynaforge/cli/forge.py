@@ -17,21 +17,11 @@ import numpy as np
 from tqdm import tqdm
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import training
-from dynaforge.cli.checkpoint import load_checkpoint, save_checkpoint
 from dynaforge.cli.film import film_clips
-from dynaforge.cli.forge_folder import ForgeFolder, asked_for
 from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
-from dynaforge.cli.training import TimeLimit, TrainingMonitor
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.evaluation import (
-    DgrReport,
-    PairedDifference,
-    TrainingHistory,
-    comparison_table,
-    paired_difference,
-)
+from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, paired_difference
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.generators import GaveUp, Generator, Goal, PlannerOnly, ResidualGenerator, collect, run_attempts
@@ -48,6 +38,11 @@ from dynaforge.reports import (
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
+from dynaforge.training import model as training
+from dynaforge.training.checkpoint import load_checkpoint, save_checkpoint
+from dynaforge.training.forge_folder import ForgeFolder, asked_for
+from dynaforge.training.history import TrainingHistory
+from dynaforge.training.model import TimeLimit, TrainingMonitor
 
 CHECKPOINT = "checkpoint.safetensors"
 MEASURING_SHARE = 0.15  # of the budget: measuring twice, collecting, report

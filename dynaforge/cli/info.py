@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynaforge.cli.dataset_arguments import open_dataset
-from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import Attempt, Episode
 from dynaforge.demos.untrusted import printable
 from dynaforge.evaluation import DgrReport
+from dynaforge.evaluation.sparkline import sparkline
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
 

@@ -7,7 +7,7 @@ import io
 import os
 import sys
 
-from dynaforge.cli.sparkline import BARS
+from dynaforge.evaluation.sparkline import BARS
 from dynaforge.sampling.processes import fill_standard_descriptors
 
 PLAIN = {

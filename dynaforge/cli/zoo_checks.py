@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from dynaforge.algos.options import LARGEST_SEED
-from dynaforge.algos.settings import entry_of
+from dynaforge.training.settings import entry_of
 
 
 def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> None:

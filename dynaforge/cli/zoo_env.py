@@ -9,9 +9,9 @@ from typing import Any
 
 import yaml
 
-from dynaforge.algos.settings import entry_of
 from dynaforge.registration import env_id, env_ids, task_named
 from dynaforge.tasks import Task, get_task
+from dynaforge.training.settings import entry_of
 
 
 def import_packages(packages: Iterable[str]) -> None:

@@ -196,7 +196,7 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
         if task is None:
             return
-        from dynaforge.cli.training import policy_file
+        from dynaforge.training.model import policy_file
 
         try:
             updates = model._n_updates // getattr(model, "n_epochs", 1)

@@ -1,9 +1,7 @@
 """Success rates and what can be said about them: DGR, paired statistics, the competence frontier."""
 
-from dynaforge.evaluation.comparison import COLUMNS, PLANNER, ArmSummary, Comparison, StoredRun
 from dynaforge.evaluation.dgr import Count, DgrReport, Outcome, Trial, comparison_table, describe_gain, task_table
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier, trailing_mean
-from dynaforge.evaluation.history import STRATA, Probe, TrainingHistory
 from dynaforge.evaluation.statistics import (
     BinComparison,
     BootstrapDifference,
@@ -17,24 +15,18 @@ from dynaforge.evaluation.statistics import (
     wilson_bounds,
     wilson_interval,
 )
+from dynaforge.training.comparison import COLUMNS, PLANNER, ArmSummary, Comparison, StoredRun
+from dynaforge.training.history import STRATA, Probe, TrainingHistory
 
 __all__ = [
-    "COLUMNS",
-    "PLANNER",
-    "STRATA",
-    "ArmSummary",
     "BinComparison",
     "BootstrapDifference",
-    "Comparison",
     "Count",
     "DgrReport",
     "FrontierAnalysis",
     "Interval",
     "Outcome",
     "PairedDifference",
-    "Probe",
-    "StoredRun",
-    "TrainingHistory",
     "Trial",
     "analyse_frontier",
     "bootstrap_over",

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import mean
 
-from dynaforge.evaluation import COLUMNS, Comparison
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import ReportFigure, render
 from dynaforge.reports.plots import Format, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.template import COMPARISON
+from dynaforge.training.comparison import COLUMNS, Comparison
 
 
 def write_comparison(folder: Path, comparison: Comparison, *, command: str, date: str) -> Path:

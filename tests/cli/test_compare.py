@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from dynaforge.algos.settings import arms
-from dynaforge.cli import compare, runs
+from dynaforge.cli import compare
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
-from dynaforge.cli.runs import Exam, RunSpec
-from dynaforge.evaluation import TrainingHistory
+from dynaforge.training import run as runs
+from dynaforge.training.history import TrainingHistory
+from dynaforge.training.run import Exam, RunSpec
+from dynaforge.training.settings import arms
 
 TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}
 

@@ -16,17 +16,18 @@ from stable_baselines3.common.utils import FloatSchedule, LinearSchedule
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import forge, training
+from dynaforge.cli import forge
 from dynaforge.cli.commands import COMMANDS
-from dynaforge.cli.forge_folder import ForgeFolder, asked_for
 from dynaforge.cli.main import main
-from dynaforge.cli.training import TimeLimit, build_model, hyperparameters
 from dynaforge.cli.zoo import config_file
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.evaluation import STRATA, TrainingHistory
 from dynaforge.generators import GaveUp, PlannerOnly
 from dynaforge.tasks import get_task
+from dynaforge.training import model as training
+from dynaforge.training.forge_folder import ForgeFolder, asked_for
+from dynaforge.training.history import STRATA, TrainingHistory
+from dynaforge.training.model import TimeLimit, build_model, hyperparameters
 
 
 @pytest.mark.timeout(170)

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from dynaforge.algos.settings import arms
 from dynaforge.cli import compare
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.main import main
-from dynaforge.cli.runs import RunSpec
 from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
@@ -25,6 +23,8 @@ from dynaforge.generators.attempts import Result, lost
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
+from dynaforge.training.run import RunSpec
+from dynaforge.training.settings import arms
 
 ONE = {"forge": ["--task"], "collect": ["--task"]}
 SEVERAL = {"describe": [], "evaluate": ["--task"], "compare": ["--task"], "bench": ["--task"]}

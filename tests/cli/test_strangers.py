@@ -20,11 +20,12 @@ import pytest
 import dynaforge
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import compare, runs, zoo
+from dynaforge.cli import compare, zoo
 from dynaforge.cli.main import main
-from dynaforge.cli.runs import Exam, RunSpec
 from dynaforge.demos.dataset import FORMAT
 from dynaforge.demos.episode_file import FORMAT_VERSION
+from dynaforge.training import run as runs
+from dynaforge.training.run import Exam, RunSpec
 
 ON_DATASETS = (["info"], ["verify"], ["verify", "--replay"], ["render"], ["view"], ["export", "--format", "robomimic"])
 

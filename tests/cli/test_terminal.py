@@ -13,10 +13,10 @@ import pytest
 from dynaforge.cli import main as entry
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
-from dynaforge.cli.sparkline import sparkline
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.evaluation import DgrReport, comparison_table
 from dynaforge.evaluation.dgr import Trial
+from dynaforge.evaluation.sparkline import sparkline
 
 
 def printed(monkeypatch: pytest.MonkeyPatch, encoding: str, show: Callable[[], object]) -> str:

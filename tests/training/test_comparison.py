@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaforge.evaluation import Comparison, Probe, TrainingHistory
-from dynaforge.evaluation.comparison import StoredRun
+from dynaforge.training.comparison import Comparison, StoredRun
+from dynaforge.training.history import Probe, TrainingHistory
 
 STRATA = 4
 

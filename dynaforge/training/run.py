@@ -1,6 +1,6 @@
 """One training run of a comparison: one core, stored as it goes, gone on with after any interruption.
 
-`python -m dynaforge.cli.runs SPEC [end-with-stdin]` (what `dynaforge compare` starts) makes or finishes the run that
+`python -m dynaforge.training.run SPEC [end-with-stdin]` (what `dynaforge compare` starts) makes or finishes the run that
 SPEC, the JSON form of a `RunSpec`, describes; each line it prints is a JSON object that tells how far it is. With the
 second argument it ends when stdin does, which is when whoever started it is gone.
 """
@@ -16,8 +16,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from dynaforge.algos.settings import hyperparameters
-from dynaforge.evaluation import STRATA, Probe, TrainingHistory
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
@@ -26,6 +24,8 @@ from dynaforge.sampling.processes import end_after
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
+from dynaforge.training.history import STRATA, Probe, TrainingHistory
+from dynaforge.training.settings import hyperparameters
 
 SAVED_EVERY = 5  # updates, between two of which a kill may fall
 PROBED_EVERY = 5  # updates, between two measurements without exploration
@@ -132,8 +132,8 @@ class RunSpec:
 
 def perform(spec: RunSpec) -> None:
     """Make the run, or what is missing of it."""
-    from dynaforge.cli import training
-    from dynaforge.cli.checkpoint import load_checkpoint, save_checkpoint
+    from dynaforge.training import model as training
+    from dynaforge.training.checkpoint import load_checkpoint, save_checkpoint
 
     spec.check()
     spec.folder.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaforge.evaluation import Probe, TrainingHistory
+from dynaforge.training.history import Probe, TrainingHistory
 
 
 def history() -> TrainingHistory:

@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
-from dynaforge.evaluation.history import TrainingHistory
 from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_tasks
 from dynaforge.geometry import Array
+from dynaforge.training.history import TrainingHistory
 
 PLANNER = "planner_only"
 COLUMNS = (

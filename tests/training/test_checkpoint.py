@@ -9,7 +9,7 @@ from safetensors.torch import save_file
 from stable_baselines3 import PPO
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.cli.checkpoint import load_checkpoint, save_checkpoint
+from dynaforge.training.checkpoint import load_checkpoint, save_checkpoint
 
 
 def model(algorithm: type, *, seed: int = 0, width: int = 8):

@@ -19,15 +19,15 @@ from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.algos.settings import hyperparameters as hyperparameters
-from dynaforge.algos.settings import model_arguments
-from dynaforge.cli.sparkline import sparkline
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.evaluation.history import STRATA, TrainingHistory
+from dynaforge.evaluation.sparkline import sparkline
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import ConditionSpace, Task
+from dynaforge.training.history import STRATA, TrainingHistory
+from dynaforge.training.settings import hyperparameters as hyperparameters
+from dynaforge.training.settings import model_arguments
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 

@@ -1,0 +1,1 @@
+"""Training runs: settings, model and env, history and folder, comparison of runs."""
