@@ -16,7 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.bench_figure import Figure
+from dynaforge.benchmarks.figure import Figure
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.files.atomic import atomic_write, check_writable
 from dynaforge.files.versions import package_versions

@@ -7,8 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynaforge.cli import bench, bench_data, bench_determinism, bench_limits, bench_speed, bench_training, bench_vector
-from dynaforge.cli.bench_episodes import (
+from dynaforge.benchmarks import data as bench_data
+from dynaforge.benchmarks import determinism as bench_determinism
+from dynaforge.benchmarks import limits as bench_limits
+from dynaforge.benchmarks import speed as bench_speed
+from dynaforge.benchmarks import training as bench_training
+from dynaforge.benchmarks import vector as bench_vector
+from dynaforge.benchmarks.episodes import (
     Busy,
     TrajectoryHash,
     bench_conditions,
@@ -16,7 +21,8 @@ from dynaforge.cli.bench_episodes import (
     run_planner_only,
     run_zero_residual,
 )
-from dynaforge.cli.bench_figure import Figure
+from dynaforge.benchmarks.figure import Figure
+from dynaforge.cli import bench
 from dynaforge.cli.main import main
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import World

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack

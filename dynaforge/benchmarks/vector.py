@@ -16,8 +16,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynaforge.cli.bench_episodes import Busy, Witness
-from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.benchmarks.episodes import Busy, Witness
+from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.registration import env_id
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.tasks import Task

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.cli.bench_episodes import bench_conditions, run_planner_only
-from dynaforge.cli.bench_figure import Figure, tracked
+from dynaforge.benchmarks.episodes import bench_conditions, run_planner_only
+from dynaforge.benchmarks.figure import Figure, tracked
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.world import World
 from dynaforge.geometry import Array, JointTrajectory, Pose, matrix_from_rotvec

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.cli.bench_episodes import bench_conditions, run_zero_residual, state_arrays
-from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.benchmarks.episodes import bench_conditions, run_zero_residual, state_arrays
+from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
 from dynaforge.geometry import Array

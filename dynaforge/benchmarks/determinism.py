@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from dynaforge.cli.bench_episodes import (
+from dynaforge.benchmarks.episodes import (
     TrajectoryHash,
     Witness,
     bench_conditions,
@@ -18,7 +18,7 @@ from dynaforge.cli.bench_episodes import (
     run_zero_residual,
     seeded_actions,
 )
-from dynaforge.cli.bench_figure import Figure, tracked
+from dynaforge.benchmarks.figure import Figure, tracked
 from dynaforge.envs.residual_env import GATE_MODES, ResidualEnv
 from dynaforge.sampling.processes import begin_worker, worker_environment
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv

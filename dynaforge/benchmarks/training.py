@@ -14,7 +14,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.cli.bench_figure import Figure, spread, tracked
+from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task

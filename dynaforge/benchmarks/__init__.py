@@ -1,0 +1,1 @@
+"""The figures of speed, exactness and limits that `dynaforge bench` measures."""
