@@ -59,8 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _zoo(arguments: Sequence[str]) -> int:
     """Run a script of rl_zoo3; what it cannot begin with is a mistake, as in the other commands."""
-    from dynaforge.cli.zoo import ZooFailure
-    from dynaforge.cli.zoo import main as zoo
+    from dynaforge.zoo.scripts import ZooFailure
+    from dynaforge.zoo.scripts import main as zoo
 
     try:
         return zoo(arguments)

@@ -19,7 +19,6 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import forge
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
-from dynaforge.cli.zoo import config_file
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import GaveUp, PlannerOnly
@@ -28,6 +27,7 @@ from dynaforge.training import model as training
 from dynaforge.training.forge_folder import ForgeFolder, asked_for
 from dynaforge.training.history import STRATA, TrainingHistory
 from dynaforge.training.model import TimeLimit, build_model, hyperparameters
+from dynaforge.zoo.scripts import config_file
 
 
 @pytest.mark.timeout(170)
@@ -161,7 +161,7 @@ def test_a_training_that_uses_its_budget_up_ends_at_a_rate_near_zero() -> None:
 
 def test_forge_builds_the_model_that_train_builds(tmp_path: Path) -> None:
     exp_manager = pytest.importorskip("rl_zoo3.exp_manager")
-    from dynaforge.cli.zoo import register_with_zoo
+    from dynaforge.zoo.scripts import register_with_zoo
 
     register_with_zoo()
     manager = exp_manager.ExperimentManager(

@@ -20,12 +20,13 @@ import pytest
 import dynaforge
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import compare, zoo
+from dynaforge.cli import compare
 from dynaforge.cli.main import main
 from dynaforge.demos.dataset import FORMAT
 from dynaforge.demos.episode_file import FORMAT_VERSION
 from dynaforge.training import run as runs
 from dynaforge.training.run import Exam, RunSpec
+from dynaforge.zoo import scripts as zoo
 
 ON_DATASETS = (["info"], ["verify"], ["verify", "--replay"], ["render"], ["view"], ["export", "--format", "robomimic"])
 
@@ -171,10 +172,10 @@ def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None
 # and what a user names on the command line to be run.
 OWN_WORKERS = {"sampling/vector_pool.py", "sampling/vector_worker.py", "sampling/processes.py"}
 WRITTEN_HERE = {
-    "cli/bench.py", "cli/main.py", "cli/zoo.py", "demos/exporters/__init__.py", "planning/plots_later.py",
+    "cli/bench.py", "cli/main.py", "zoo/scripts.py", "demos/exporters/__init__.py", "planning/plots_later.py",
     "reports/extras.py", "tasks/__init__.py",
 }  # fmt: skip
-NAMED_BY_USERS = {"cli/zoo_env.py", "generators/learner.py", "tasks/user_code.py"}
+NAMED_BY_USERS = {"zoo/envs.py", "generators/learner.py", "tasks/user_code.py"}
 RUNS_CODE = {
     "pickle.load", "pickle.loads", "Unpickler", "cloudpickle.load", "cloudpickle.loads", "th.load", "torch.load",
     "exec", "eval", "yaml.load", "yaml.full_load", "yaml.unsafe_load", "import_module", "importlib.import_module",

@@ -13,8 +13,8 @@ import pytest
 from test_zoo import run, zoo_process
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import zoo
 from dynaforge.training.settings import hyperparameters
+from dynaforge.zoo import scripts as zoo
 
 
 @pytest.fixture

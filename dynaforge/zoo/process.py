@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.zoo_checks import check_schedules
 from dynaforge.registration import ENV_NAMES, env_id
+from dynaforge.zoo.checks import check_schedules
 
 ACTION_NOISE = ("noise_type", "noise_std")  # hyperparameters that rl_zoo3 turns into others after the check
 

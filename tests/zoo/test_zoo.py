@@ -16,11 +16,11 @@ import pytest
 import yaml
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import zoo
 from dynaforge.cli.main import main
-from dynaforge.cli.zoo_flags import zoo_parser
-from dynaforge.cli.zoo_process import ZooProcess
 from dynaforge.training.settings import arms
+from dynaforge.zoo import scripts as zoo
+from dynaforge.zoo.flags import zoo_parser
+from dynaforge.zoo.process import ZooProcess
 
 
 def run(*arguments: str) -> str:

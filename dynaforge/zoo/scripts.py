@@ -20,13 +20,13 @@ from typing import Any
 
 import yaml
 
-from dynaforge.cli.zoo_checks import check_configuration, check_flags
-from dynaforge.cli.zoo_env import import_packages, named_env, reading_our_settings
-from dynaforge.cli.zoo_flags import zoo_algorithms, zoo_parser
-from dynaforge.cli.zoo_process import ZooProcess
 from dynaforge.sampling.processes import worker_environment
 from dynaforge.tasks import what_was_meant
 from dynaforge.training import settings
+from dynaforge.zoo.checks import check_configuration, check_flags
+from dynaforge.zoo.envs import import_packages, named_env, reading_our_settings
+from dynaforge.zoo.flags import zoo_algorithms, zoo_parser
+from dynaforge.zoo.process import ZooProcess
 
 ALGORITHMS = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""

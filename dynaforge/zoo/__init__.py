@@ -1,0 +1,1 @@
+"""rl_zoo3's own scripts with FrontierGRPO and the DynaForge envs registered."""
