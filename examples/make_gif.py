@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli.film import film
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.generators import PlannerOnly, ResidualGenerator
 from dynaforge.reports import encode_gif
+from dynaforge.reports.film import film
 from dynaforge.tasks import get_task
 
 

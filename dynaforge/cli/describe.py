@@ -58,8 +58,8 @@ def page_with_picture(task: Task) -> str:
 
 
 def _write(tasks: list[Task], folder: Path) -> int:
-    from dynaforge.cli.film import skill_picture
     from dynaforge.reports import contact_sheet, encode_png
+    from dynaforge.reports.film import skill_picture
 
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []

@@ -17,7 +17,6 @@ import numpy as np
 from tqdm import tqdm
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli.film import film_clips
 from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.demos import Attempt, DemonstrationDataset
@@ -35,6 +34,7 @@ from dynaforge.reports import (
     stratum_heatmap,
     write_report,
 )
+from dynaforge.reports.film import film_clips
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
