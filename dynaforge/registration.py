@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from gymnasium.envs.registration import register, registry
 
 ENV_NAMES = {
@@ -38,7 +40,9 @@ def env_ids(task: str) -> tuple[str, str]:
 
 
 def task_named(given: str) -> str | None:
-    """Return the registered task that a name or an env id means, in whatever case; None if there is none."""
+    """Return the registered task that a name, an env id, in whatever case, or a file means; None if there is none."""
+    if given.endswith(".py"):
+        return next((name for name, path in TASK_FILES.items() if path == str(Path(given).resolve())), None)
     bare = given.removeprefix("dynaforge:").lower()
     for name in ENV_NAMES:
         if bare in (text.lower() for text in (name, *env_ids(name))):

@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO
-    from dynaforge.training.settings import recommended
 
-__all__ = ["FrontierGRPO", "recommended"]
+__all__ = ["FrontierGRPO"]
 
 
 def __getattr__(name: str) -> Any:
@@ -15,8 +14,4 @@ def __getattr__(name: str) -> Any:
         from dynaforge.algos.frontier_grpo import FrontierGRPO
 
         return FrontierGRPO
-    if name == "recommended":
-        from dynaforge.training.settings import recommended
-
-        return recommended
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

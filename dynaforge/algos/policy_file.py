@@ -6,22 +6,32 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from dynaforge.files.atomic import atomic_write
-from dynaforge.registration import ENV_NAMES
-from dynaforge.tasks import Task, get_task
+from dynaforge.registration import ENV_NAMES, env_id, task_named
 
 if TYPE_CHECKING:  # workers that only run a policy do without torch, which takes seconds to import
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 FORMAT = "dynaforge-policy"
 _ACTIVATIONS: dict[str, Callable[[Any], Any]] = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
+
+
+class Named(Protocol):
+    """A task, of which a policy file needs no more than the name."""
+
+    @property
+    def name(self) -> str:
+        """Return the task's name, under which its envs are registered."""
+
 
 Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -65,11 +75,16 @@ class MlpPolicyFile:
         return digest.hexdigest()[:16]
 
     @staticmethod
-    def of(model: BaseAlgorithm, *, task: str | Task, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
+    def of(model: BaseAlgorithm, *, task: str | Named, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
         """Take the policy out of a trained SB3 on-policy model with "MlpPolicy".
 
         What stood between model and env is read off its env: one that `PPO.load` read without its env must have been
         trained without VecNormalize.
+
+        Args:
+            model: The trained model.
+            task: The task that it was trained on: a task, its name, or an env id of it.
+            meta: Plain JSON data to keep with it.
 
         Raises:
             ValueError: Unknown task, sizes that do not fit it, or a policy of which the file would not hold all:
@@ -77,10 +92,10 @@ class MlpPolicyFile:
         """
         from dynaforge.algos.plain_mlp import plain_mlp
 
-        trained_on = get_task(task) if isinstance(task, str) else task
+        name = _name_of(task)
         layers, activation = plain_mlp(model)
-        policy = MlpPolicyFile(layers, activation, task=trained_on.name, meta=meta)
-        if fault := _fault_of(layers) or _misfit(layers, trained_on):
+        policy = MlpPolicyFile(layers, activation, task=name, meta=meta)
+        if fault := _fault_of(layers) or _misfit(layers, name):
             raise ValueError(f"The policy cannot be written as a policy file: {fault}.")
         return policy
 
@@ -93,12 +108,12 @@ class MlpPolicyFile:
         atomic_write(Path(path), save(tensors, {"dynaforge": json.dumps(header, sort_keys=True)}))
 
     @staticmethod
-    def load(path: str | Path, *, task: str | Task | None = None) -> MlpPolicyFile:
+    def load(path: str | Path, *, task: str | Named | None = None) -> MlpPolicyFile:
         """Read a policy; runs no code from the file.
 
         Args:
             path: The file.
-            task: What it shall be for: a task, or its name, env id or file. None takes the task that the file names.
+            task: What it shall be for: a task, its name, or an env id of it. None takes the task that the file names.
 
         Raises:
             FileNotFoundError: No such file.
@@ -106,20 +121,20 @@ class MlpPolicyFile:
         """
         if not Path(path).is_file():
             raise FileNotFoundError(f"No policy file {path}. `dynaforge forge` and `dynaforge train` write them.")
-        asked = get_task(task) if isinstance(task, str) else task
+        asked = None if task is None else _name_of(task)
         try:
             policy = _read(path)
         except (SafetensorError, KeyError, ValueError, TypeError, RecursionError) as error:
             reason = " ".join(str(error).split())
             raise ValueError(f"{path} is no dynaforge policy file, or is damaged: {reason.rstrip('.')}.") from error
-        if asked is not None and policy.task != asked.name:
-            raise ValueError(f"{path} is a policy for task {policy.task!r}, not for {asked.name!r}.")
-        if asked is None and policy.task not in ENV_NAMES:  # never looked up as a file: that would run its code
+        if asked is not None and policy.task != asked:
+            raise ValueError(f"{path} is a policy for task {policy.task!r}, not for {asked!r}.")
+        if asked is None and policy.task not in ENV_NAMES:
             raise ValueError(
                 f"{path} is a policy for task {policy.task!r}, which is none of {', '.join(ENV_NAMES)}. If it is one "
-                "of your own, pass its file as `task`."
+                "of your own, pass it as `task`: `get_task` reads its file."
             )
-        if fault := _misfit(policy._layers, asked or get_task(policy.task)):
+        if fault := _misfit(policy._layers, policy.task):
             raise ValueError(f"{path} does not fit: {fault}.")
         return policy
 
@@ -163,14 +178,27 @@ def _fault_of(layers: Layers) -> str:
     return ""
 
 
-def _misfit(layers: Layers, task: Task) -> str:
-    """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not."""
-    from dynaforge.envs.observation import residual_sizes
+def _name_of(task: str | Named) -> str:
+    if not isinstance(task, str):
+        return task.name
+    name = task_named(task)
+    if name is None:
+        hint = f"pass get_task({task!r})" if task.endswith(".py") else f"known are {', '.join(ENV_NAMES)}"
+        raise ValueError(f"No task {task!r} is registered; {hint}.")
+    return name
 
-    sizes, expected = (layers[0][0].shape[1], len(layers[-1][1])), residual_sizes(task)
+
+def _misfit(layers: Layers, task: str) -> str:
+    """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not.
+
+    The env's class, found where Gymnasium finds it, tells its sizes without an env being made.
+    """
+    spec = gym.spec(env_id(task))
+    env_class: Any = load_env_creator(str(spec.entry_point))
+    sizes, expected = (layers[0][0].shape[1], len(layers[-1][1])), env_class.sizes(**spec.kwargs)
     if sizes == expected:
         return ""
     return (
-        f"it takes {sizes[0]} numbers and gives {sizes[1]}, but an observation of task {task.name!r} has "
+        f"it takes {sizes[0]} numbers and gives {sizes[1]}, but an observation of task {task!r} has "
         f"{expected[0]} and its action {expected[1]}"
     )

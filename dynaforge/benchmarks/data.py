@@ -7,16 +7,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 
 from dynaforge.benchmarks.figure import Figure, spread, tracked
-from dynaforge.cli.evaluate import make_generator
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
+from dynaforge.generators.by_name import make_generator
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.sampling.processes import usable_cores
 from dynaforge.sim.spec import asset_path
@@ -52,7 +51,7 @@ class TimedDataset(DemonstrationDataset):
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:
     """Collect as `dynaforge collect` does: the share of all cores that writing takes."""
-    generator = make_generator(_generator_of(task), task, Namespace(policy=None))
+    generator = make_generator(_generator_of(task), task)
     shares, busy, cores = [], [], usable_cores()
     for number in tracked(range(rounds), "writing"):
         with tempfile.TemporaryDirectory() as folder:

@@ -30,24 +30,24 @@ Measurement = Callable[[Task, int], list[Figure]]
 
 def _of(module: str) -> Any:
     """Import what measures when it is to measure: torch takes seconds."""
-    return import_module(f"dynaforge.cli.{module}")
+    return import_module(f"dynaforge.benchmarks.{module}")
 
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "finger-speed": lambda task, rounds: _of("bench_limits").finger_speed(task),
-    "zero-residual": lambda task, rounds: _of("bench_determinism").zero_residual(task),
-    "one-trajectory": lambda task, rounds: _of("bench_determinism").one_trajectory(task),
-    "reset": lambda task, rounds: _of("bench_speed").scene_reset(task, rounds=rounds),
-    "control-steps": lambda task, rounds: _of("bench_speed").control_rate(task, rounds=rounds),
-    "vectorised": lambda task, rounds: _of("bench_vector").vectorised(task, rounds=rounds),
-    "trainer": lambda task, rounds: _of("bench_training").trainer(task, rounds=rounds),
-    "collection": lambda task, rounds: _of("bench_training").collection(task, rounds=rounds),
-    "writing": lambda task, rounds: _of("bench_data").writing(task, rounds=rounds),
-    "window": lambda task, rounds: _of("bench_data").window(rounds=rounds),
-    "replay": lambda task, rounds: _of("bench_data").replay(task),
-    "worker-killed": lambda task, rounds: _of("bench_vector").worker_killed(task, rounds=min(rounds, 3)),
-    "global-planner": lambda task, rounds: _of("bench_limits").global_planner(task),
-    "demonstrations": lambda task, rounds: _of("bench_data").demonstrations(task),
+    "finger-speed": lambda task, rounds: _of("limits").finger_speed(task),
+    "zero-residual": lambda task, rounds: _of("determinism").zero_residual(task),
+    "one-trajectory": lambda task, rounds: _of("determinism").one_trajectory(task),
+    "reset": lambda task, rounds: _of("speed").scene_reset(task, rounds=rounds),
+    "control-steps": lambda task, rounds: _of("speed").control_rate(task, rounds=rounds),
+    "vectorised": lambda task, rounds: _of("vector").vectorised(task, rounds=rounds),
+    "trainer": lambda task, rounds: _of("training").trainer(task, rounds=rounds),
+    "collection": lambda task, rounds: _of("training").collection(task, rounds=rounds),
+    "writing": lambda task, rounds: _of("data").writing(task, rounds=rounds),
+    "window": lambda task, rounds: _of("data").window(rounds=rounds),
+    "replay": lambda task, rounds: _of("data").replay(task),
+    "worker-killed": lambda task, rounds: _of("vector").worker_killed(task, rounds=min(rounds, 3)),
+    "global-planner": lambda task, rounds: _of("limits").global_planner(task),
+    "demonstrations": lambda task, rounds: _of("data").demonstrations(task),
 }
 """What can be measured, by its name for `--only`, in the order of the table."""
 

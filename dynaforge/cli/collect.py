@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 
-from dynaforge.cli.evaluate import make_generator
+from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
 from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.demos import DemonstrationDataset
@@ -20,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
     """Collect what is missing; returns 1 when that is not all that was asked for."""
     goal = _goal(options)
     task = chosen_task(options)
-    generator = make_generator(options.generator, task, options)
+    generator = generator_of(options.generator, task, options)
     engine = _engine(options)
     out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)

@@ -13,23 +13,14 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.cli.arguments import GENERATORS
 from dynaforge.cli.task_arguments import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
-from dynaforge.generators import (
-    Exploring,
-    Generator,
-    Oracle,
-    PlannerOnly,
-    ResidualGenerator,
-    Result,
-    run_attempts,
-)
+from dynaforge.generators import Generator, Result, run_attempts
+from dynaforge.generators.by_name import make_generator
 from dynaforge.generators.giving_up import unless_all_raise
-from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task
 
 BINS = 8
@@ -42,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
-    crews = [[make_generator(name, task, options) for name in options.generator] for task in tasks]
+    crews = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
     out = options.out
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
@@ -69,48 +60,21 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def make_generator(name: str, task: Task, options: argparse.Namespace) -> Generator:
-    """Make a generator by name.
+def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generator:
+    """Make a generator as the options ask for it.
 
     Raises:
-        ValueError: Unknown name, or a residual without a policy file, given or shipped.
+        ValueError: A residual without a policy file, given or shipped, or with one that does not fit.
     """
-    if name == "planner_only":
-        return PlannerOnly()
-    if name == "learner":
-        return _learner(options)
-    if name == "oracle":
-        return Oracle(m=options.oracle_tries or 64)
-    if name not in ("residual", "exploring"):
-        raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
-    from dynaforge.algos.policy_file import MlpPolicyFile
-
+    asked = {
+        key: value
+        for key in ("policy", "sigma", "oracle_tries", "learner", "observations")
+        if (value := getattr(options, key, None)) is not None
+    }
     try:
-        policy = MlpPolicyFile.load(options.policy or _shipped_policy(task), task=task)
+        return make_generator(name, task, **asked)
     except ValueError as error:
-        raise ValueError(f"--policy: {error}" if options.policy else str(error)) from error
-    if name == "exploring":
-        return ResidualGenerator(
-            Exploring(policy, 0.25 if options.sigma is None else options.sigma), policy_hash=policy.digest, name=name
-        )
-    return ResidualGenerator(policy, policy_hash=policy.digest)
-
-
-def _learner(options: argparse.Namespace) -> Generator:
-    from dynaforge.demos.observations import ObservationFolder
-    from dynaforge.generators.learner import LearnerGenerator
-
-    settings = ObservationFolder(options.observations).settings if options.observations else None
-    return LearnerGenerator(options.learner, settings=settings)
-
-
-def _shipped_policy(task: Task) -> Path:
-    try:
-        return asset_path(f"{task.name}/policy.safetensors")
-    except FileNotFoundError:
-        raise ValueError(
-            f"No policy is shipped for task {task.name!r}: pass --policy FILE, which `dynaforge forge` makes."
-        ) from None
+        raise ValueError(f"--policy: {error}" if "policy" in asked else str(error)) from error
 
 
 def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:

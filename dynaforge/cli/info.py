@@ -11,9 +11,9 @@ from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.demos import Attempt, Episode
 from dynaforge.demos.untrusted import printable
 from dynaforge.evaluation import DgrReport
-from dynaforge.evaluation.sparkline import sparkline
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
+from dynaforge.training.sparkline import sparkline
 
 PARTS = 16  # of a condition's range
 RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")

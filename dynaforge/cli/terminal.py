@@ -7,8 +7,8 @@ import io
 import os
 import sys
 
-from dynaforge.evaluation.sparkline import BARS
 from dynaforge.sampling.processes import fill_standard_descriptors
+from dynaforge.training.sparkline import BARS
 
 PLAIN = {
     **dict(zip(BARS, "_.:-=+*#", strict=True)),  # a sparkline still rises

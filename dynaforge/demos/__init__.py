@@ -6,7 +6,6 @@ from dynaforge.demos.episode_file import read_episode, write_episode
 from dynaforge.demos.ledger import Attempt, Ledger
 from dynaforge.demos.schema import SCHEMA, Field, schema_markdown
 from dynaforge.demos.untrusted import DamagedFileError
-from dynaforge.files.atomic import atomic_write, check_writable
 
 __all__ = [
     "SCHEMA",

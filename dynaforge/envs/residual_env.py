@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from dynaforge.envs.base import WorldEnv, check_choice
 from dynaforge.envs.executor import PhaseExecutor
-from dynaforge.envs.observation import LIMIT, ObservationBuilder
+from dynaforge.envs.observation import LIMIT, ObservationBuilder, residual_sizes
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_number
-from dynaforge.tasks import Task
+from dynaforge.tasks import Task, get_task
 
 Observation = NDArray[np.float32]
 
@@ -77,6 +77,11 @@ class ResidualEnv(WorldEnv):
         self._left = 0  # control steps for which the latest residual is still to be held
         self._filmed = False  # a picture was taken since the latest step or reset
         self._fresh = False  # nothing happened since the reset
+
+    @staticmethod
+    def sizes(task: str | Task, **_: Any) -> tuple[int, int]:
+        """Return how many numbers an observation and an action of a task have, without making its env."""
+        return residual_sizes(get_task(task) if isinstance(task, str) else task)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

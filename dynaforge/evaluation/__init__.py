@@ -15,8 +15,6 @@ from dynaforge.evaluation.statistics import (
     wilson_bounds,
     wilson_interval,
 )
-from dynaforge.training.comparison import COLUMNS, PLANNER, ArmSummary, Comparison, StoredRun
-from dynaforge.training.history import STRATA, Probe, TrainingHistory
 
 __all__ = [
     "BinComparison",

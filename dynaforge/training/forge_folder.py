@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from dynaforge.cli.task_arguments import chosen_task
+from dynaforge.tasks import get_task
 
 ABOUT = "forge.json"
 REPORT = "report.html"  # written last
@@ -87,7 +87,7 @@ def make_folder(folder: Path) -> None:
 
 def asked_for(options: argparse.Namespace) -> dict[str, Any]:
     """Return what the arguments say of a run, as plain data; how many workers make it may change."""
-    return {name: getattr(options, name) for name in ASKED} | {"task": chosen_task(options).name}
+    return {name: getattr(options, name) for name in ASKED} | {"task": get_task(options.task).name}
 
 
 def default_folder(options: argparse.Namespace) -> Path:

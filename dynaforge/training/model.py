@@ -20,7 +20,6 @@ from tqdm import tqdm
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.evaluation.sparkline import sparkline
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
@@ -28,6 +27,7 @@ from dynaforge.tasks import ConditionSpace, Task
 from dynaforge.training.history import STRATA, TrainingHistory
 from dynaforge.training.settings import hyperparameters as hyperparameters
 from dynaforge.training.settings import model_arguments
+from dynaforge.training.sparkline import sparkline
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 

@@ -1,8 +1,8 @@
 """One training run of a comparison: one core, stored as it goes, gone on with after any interruption.
 
-`python -m dynaforge.training.run SPEC [end-with-stdin]` (what `dynaforge compare` starts) makes or finishes the run that
-SPEC, the JSON form of a `RunSpec`, describes; each line it prints is a JSON object that tells how far it is. With the
-second argument it ends when stdin does, which is when whoever started it is gone.
+`python -m dynaforge.training.run SPEC [end-with-stdin]`, which `dynaforge compare` starts, makes or finishes the run
+that SPEC, the JSON form of a `RunSpec`, describes. Each line that it prints is a JSON object with its progress. With
+the second argument it ends when its stdin is closed, that is when the process that started it is gone.
 """
 
 from __future__ import annotations

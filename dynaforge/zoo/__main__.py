@@ -1,4 +1,4 @@
-"""Leads `python -m dynaforge.zoo train|enjoy|record_video` to `dynaforge.zoo.scripts`: rl_zoo3, our algorithm and envs."""
+"""`python -m dynaforge.zoo train|enjoy|record_video ...`: rl_zoo3 with our algorithm and envs."""
 
 from dynaforge.zoo.scripts import main
 

@@ -16,7 +16,7 @@ from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.evaluation import DgrReport, comparison_table
 from dynaforge.evaluation.dgr import Trial
-from dynaforge.evaluation.sparkline import sparkline
+from dynaforge.training.sparkline import sparkline
 
 
 def printed(monkeypatch: pytest.MonkeyPatch, encoding: str, show: Callable[[], object]) -> str:

@@ -13,7 +13,7 @@ from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, r
 
 DIE_AT = """
 import os, signal, sys
-from dynaforge.demos import atomic_write
+from dynaforge.files.atomic import atomic_write
 def die(*_): os.kill(os.getpid(), signal.SIGKILL)
 for stage in ("write", "fsync", "replace"):
     if os.fork() == 0:

@@ -143,7 +143,7 @@ def test_a_slip_in_a_flag_is_told_before_anything_heavy_is_imported() -> None:
     )
     code = f"""
 import sys
-from dynaforge.cli import zoo
+from dynaforge.zoo import scripts as zoo
 for line in {lines!r}:
     try:
         zoo.main(line.split())

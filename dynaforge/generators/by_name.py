@@ -1,0 +1,89 @@
+"""Generators by the names that commands give them, and the policies they run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.generators.generator import Exploring, Generator, PlannerOnly, ResidualGenerator
+from dynaforge.generators.learner import LearnerGenerator
+from dynaforge.generators.oracle import Oracle
+from dynaforge.sim.spec import asset_path
+from dynaforge.tasks import Task
+
+GENERATORS = ("planner_only", "residual", "exploring", "oracle", "learner")
+
+
+def make_generator(
+    name: str,
+    task: Task,
+    *,
+    policy: Path | None = None,
+    sigma: float = 0.25,
+    oracle_tries: int = 64,
+    learner: str | None = None,
+    observations: Path | None = None,
+) -> Generator:
+    """Make a generator by name.
+
+    Args:
+        name: One of `GENERATORS`.
+        task: What it attempts.
+        policy: Policy file of "residual" and "exploring"; None takes the one that is shipped for the task.
+        sigma: Standard deviation of the noise of "exploring", in units of the residual action.
+        oracle_tries: Residuals that "oracle" tries on each condition.
+        learner: Source of "learner", "module:function" or "file.py:function".
+        observations: Folder of `dynaforge render`, with whose settings the learner's observations are made.
+
+    Raises:
+        ValueError: Unknown name, or a residual whose policy file does not fit or is not shipped.
+    """
+    match name:
+        case "planner_only":
+            return PlannerOnly()
+        case "residual":
+            trained = policy_for(task, policy)
+            return ResidualGenerator(trained, policy_hash=trained.digest)
+        case "exploring":
+            trained = policy_for(task, policy)
+            return ResidualGenerator(Exploring(trained, sigma), policy_hash=trained.digest, name=name)
+        case "oracle":
+            return Oracle(m=oracle_tries)
+        case "learner" if learner is not None:
+            return _learner(learner, observations)
+    raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
+
+
+def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
+    """Read a policy and see that it fits a task.
+
+    Args:
+        task: The task that it acts in.
+        path: Its file; None takes the one that is shipped.
+
+    Raises:
+        FileNotFoundError: No such file.
+        ValueError: None is shipped, or the file is damaged, of another task, or of other sizes than the task's env.
+    """
+    return MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
+
+
+def shipped_policy(task: Task) -> Path:
+    """Return the policy file that is shipped for a task.
+
+    Raises:
+        ValueError: There is none.
+    """
+    try:
+        return asset_path(f"{task.name}/policy.safetensors")
+    except FileNotFoundError:
+        raise ValueError(
+            f"No policy is shipped for task {task.name!r}: pass --policy FILE, which `dynaforge forge` makes."
+        ) from None
+
+
+def _learner(learner: str, observations: Path | None) -> Generator:
+    from dynaforge.demos.observations import ObservationFolder
+
+    settings = ObservationFolder(observations).settings if observations else None
+    return LearnerGenerator(learner, settings=settings)
