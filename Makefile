@@ -1,12 +1,12 @@
-# Python 3.11 on Linux x86-64 installs without a compiler; elsewhere PyBullet is compiled, ten minutes or more, which
-# needs a C++ compiler and Python's headers: `apt install g++ python3-dev`, or `xcode-select --install` on macOS.
-# Every target sets up what it needs first: the stamp stands for a virtual environment with the pinned packages.
+# Python 3.11 on Linux x86-64 installs without a compiler. Elsewhere PyBullet is compiled, which takes ten minutes or more
+# and needs a C++ compiler and Python's headers: `apt install g++ python3-dev`, or `xcode-select --install` on macOS.
+# Every target first sets up what it needs; the stamp file marks a virtual environment with the pinned packages.
 PYTHON ?= $(shell python3.11 -c '' 2>/dev/null && echo python3.11 || echo python3)
 PYTHON312 ?= python3.12
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-# Workers share the cores; threads inside each of them would only fight over them.
+# Workers share the cores; threads inside a worker would only compete for them.
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
@@ -15,7 +15,7 @@ export OMP_NUM_THREADS := 1
 help: ## Print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-demo: $(STAMP) ## From planner to demonstrations on the Can task; ARGS="--budget 5m" and so on are passed on
+demo: $(STAMP) ## Run `dynaforge forge` on the Can task; pass options as ARGS="--budget 5m"
 	$(BIN)/dynaforge forge --task can $(ARGS)
 
 test: $(STAMP) ## Run the default test suite (under three minutes on two cores)
@@ -24,7 +24,7 @@ test: $(STAMP) ## Run the default test suite (under three minutes on two cores)
 test-slow: $(STAMP) ## Run the tests that take longer
 	$(BIN)/python -m pytest -n 2 -m slow --timeout 1800 $(ARGS)
 
-test-lerobot: $(STAMP) ## Read exported datasets with LeRobot itself, 0.4.4 and the newest, in their own environments (large downloads)
+test-lerobot: $(STAMP) ## Read exports with LeRobot 0.4.4 and the newest, each in its own environment (large downloads)
 	@test -x .venv-lerobot/bin/python || $(PYTHON) -m venv .venv-lerobot
 	.venv-lerobot/bin/python -m pip install --disable-pip-version-check lerobot==0.4.4
 	@if $(PYTHON312) -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null; then \
@@ -34,7 +34,7 @@ test-lerobot: $(STAMP) ## Read exported datasets with LeRobot itself, 0.4.4 and 
 	LEROBOT_PYTHON=.venv-lerobot/bin/python LEROBOT_NEWEST_PYTHON=$$(ls .venv-lerobot-newest/bin/python 2>/dev/null) \
 		$(BIN)/python -m pytest -rs -m slow tests/demos/exporters/test_lerobot_reader.py
 
-check: $(STAMP) ## Lint, formatting, types and the direction of imports
+check: $(STAMP) ## Check lint, formatting, types and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -43,11 +43,11 @@ check: $(STAMP) ## Lint, formatting, types and the direction of imports
 bench: $(STAMP) ## Measure speed against the bare simulator
 	$(BIN)/dynaforge bench $(ARGS)
 
-clean: ## Remove the virtual environment, builds and caches; results, runs, logs and data stay
+clean: ## Remove the virtual environment, builds and caches, but no results, runs, logs or data
 	rm -rf .venv build dist dynaforge.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find dynaforge assets zoo_configs tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# An existing environment is kept if its pip works; an interrupted install leaves no stamp and is taken up again.
+# An existing environment is kept if its pip works; an interrupted install leaves no stamp and is resumed.
 $(STAMP): setup.cfg pyproject.toml constraints.txt Makefile
 	@command -v $(PYTHON) >/dev/null || { echo "make: no '$(PYTHON)' found; install Python 3.11 or newer, or name one: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'

@@ -1,1 +1,1 @@
-"""rl-zoo style hyperparameters per env id. Installs as `dynaforge.zoo_configs`."""
+"""Hyperparameters per env id, in rl_zoo3's format. Installs as `dynaforge.zoo_configs`."""
