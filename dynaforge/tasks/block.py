@@ -100,9 +100,9 @@ TASK = Task(
     name="block",
     env_name="Block",
     skill="grasp + place",
-    motion="A block rides on a tray that slides to and fro or goes round at 0.05 to 0.4 m/s; the pad moves likewise.",
+    motion="A block rides on a tray that slides back and forth or circles at 0.05 to 0.4 m/s; the pad moves alike.",
     randomisation="Kind, speed, phase and direction of both motions, side, the block's place on the tray, its mass.",
-    goal="The block stands on the pad within 25 mm of its middle, released and at rest relative to it, for 0.25 s.",
+    goal="The block stands on the pad within 25 mm of its centre, released and at rest relative to it, for 0.25 s.",
     instruction="pick up the block from the moving tray and place it on the moving pad",
     scene=SceneSpec(
         # Painted wood. At 0.8 a block that stands askew between the fingers jams there, and does not turn flat to them.

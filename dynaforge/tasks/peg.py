@@ -84,9 +84,9 @@ TASK = Task(
     name="peg",
     env_name="Peg",
     skill="grasp + insert",
-    motion="A hole turns on an arm at 0.01 to 0.15 m/s; the peg rests in a rack.",
-    randomisation="The hole's speed, sense of turning, start, place and clearance; the rack's place; the peg's mass.",
-    goal="The peg is at 60 % of the hole's depth or more and released, for 0.25 s.",
+    motion="A hole on a rotating arm moves at 0.01 to 0.15 m/s; the peg rests in a rack.",
+    randomisation="The hole's speed, direction of rotation, start, place and clearance; the rack's place; the peg's mass.",
+    goal="The peg is at 60 % of the hole's depth or more, and is released, for 0.25 s.",
     instruction="insert the peg into the moving hole",
     scene=SceneSpec(
         bodies=(BodySpec("peg", "peg/peg.urdf", lateral_friction=0.5),),

@@ -92,9 +92,9 @@ TASK = Task(
     name="pen",
     env_name="Pen",
     skill="insert",
-    motion="A pen holder slides to and fro or turns at a peak speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
+    motion="A pen holder slides back and forth or turns at a peak speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
     randomisation="The holder's speed, kind of motion, phase, direction, place, width; the rack's place; the mass.",
-    goal="The pen's tip is at 60 % of the holder's depth or more and the pen released, for 0.25 s.",
+    goal="The pen's tip is at 60 % of the holder's depth or more, and the pen is released, for 0.25 s.",
     instruction="put the pen into the moving pen holder",
     scene=SceneSpec(
         bodies=(BodySpec("pen", "pen/pen.urdf", lateral_friction=0.4),),
