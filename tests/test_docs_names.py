@@ -153,6 +153,8 @@ def test_a_link_leads_to_a_file_and_a_headline(path: Path) -> None:
             continue
         file, _, anchor = target.partition("#")
         page = path.parent / file if file else path
+        if not (ROOT / "results").exists() and "results/" in file:  # a source distribution leaves them out
+            continue
         assert page.exists(), target
         if anchor:
             headlines = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
