@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.benchmarks.figure import Figure
-from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.files.atomic import atomic_write, check_writable
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.processes import usable_cores

@@ -6,12 +6,12 @@ import argparse
 import sys
 import time
 
+from dynaforge.cli.arguments.tasks import chosen_task
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
-from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.generators import GaveUp, Goal, Source, collect, run_attempts
-from dynaforge.generators.collect import Engine
+from dynaforge.generators.collecting import Engine
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.ray_engine import connected, run_attempts_on_ray
 

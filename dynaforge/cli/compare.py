@@ -17,7 +17,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.registration import env_id
 from dynaforge.reports import write_comparison
 from dynaforge.tasks import task_source

@@ -6,7 +6,7 @@ import argparse
 from itertools import islice
 from pathlib import Path
 
-from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.files.atomic import atomic_write
 from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.tasks import Task, get_task

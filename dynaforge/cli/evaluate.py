@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynaforge.cli.task_arguments import chosen_tasks
+from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.files.atomic import atomic_write

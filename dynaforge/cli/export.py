@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import open_dataset
+from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter, read_frames
 from dynaforge.demos.exporters.frames import Floats, env_of

@@ -17,8 +17,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli.arguments.tasks import chosen_task
 from dynaforge.cli.tally import Tally
-from dynaforge.cli.task_arguments import chosen_task
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, paired_difference
 from dynaforge.files.atomic import atomic_write

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dynaforge.cli.dataset_arguments import open_dataset
+from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos import Attempt, Episode
 from dynaforge.demos.untrusted import printable
 from dynaforge.evaluation import DgrReport

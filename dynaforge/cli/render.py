@@ -10,7 +10,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import open_dataset
+from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.observations import (
     WORKSPACE,

@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 from tqdm import tqdm
 
-from dynaforge.cli.dataset_arguments import open_dataset
+from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.observation_file import SETTINGS
 from dynaforge.demos.observations import FOLDER, ObservationFolder

@@ -1,11 +1,19 @@
-"""What makes episodes: the planner, the residual policy, the oracle; run on all cores."""
+"""What makes episodes: the planner, the residual policy, the oracle; run on all cores.
 
-from dynaforge.generators.attempts import NoWorkers, Result, attempt_once, run_attempts
-from dynaforge.generators.collect import Goal, Source, collect
-from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
-from dynaforge.generators.giving_up import GaveUp
-from dynaforge.generators.learner import LearnerGenerator
-from dynaforge.generators.oracle import Oracle
+Each name is imported when it is first used, so that `dynaforge.generators.names` loads no physics.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dynaforge.generators.attempts import NoWorkers, Result, attempt_once, run_attempts
+    from dynaforge.generators.by_name import make_generator
+    from dynaforge.generators.collecting import Goal, Source, collect
+    from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
+    from dynaforge.generators.giving_up import GaveUp
+    from dynaforge.generators.learner import LearnerGenerator
+    from dynaforge.generators.oracle import Oracle
 
 __all__ = [
     "ConstantResidual",
@@ -22,5 +30,29 @@ __all__ = [
     "Source",
     "attempt_once",
     "collect",
+    "make_generator",
     "run_attempts",
 ]
+
+_MODULES = {
+    "attempts": ("NoWorkers", "Result", "attempt_once", "run_attempts"),
+    "by_name": ("make_generator",),
+    "collecting": ("Goal", "Source", "collect"),
+    "generator": ("ConstantResidual", "Exploring", "Generator", "PlannerOnly", "ResidualGenerator"),
+    "giving_up": ("GaveUp",),
+    "learner": ("LearnerGenerator",),
+    "oracle": ("Oracle",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name of `__all__` when it is first used."""
+    for module, names in _MODULES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{module}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -7,11 +7,10 @@ from pathlib import Path
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.generators.generator import Exploring, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.learner import LearnerGenerator
+from dynaforge.generators.names import GENERATORS
 from dynaforge.generators.oracle import Oracle
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task
-
-GENERATORS = ("planner_only", "residual", "exploring", "oracle", "learner")
 
 
 def make_generator(

@@ -8,7 +8,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from dynaforge.options.values import Choice, Parser, Refused
+from dynaforge.options.parser import Parser
+from dynaforge.options.refusal import Refused
+from dynaforge.options.words import Choice
 from dynaforge.sim.checks import shown
 
 AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}

@@ -11,28 +11,30 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import main as entry
-from dynaforge.cli import task_arguments
+from dynaforge.cli.arguments import tasks
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.options import values as options
-from dynaforge.options.values import Choice, Existing, Number, Refused, Text, Whole, Written
+from dynaforge.options import numbers
+from dynaforge.options.numbers import Number, WholeNumber
+from dynaforge.options.paths import ExistingPath, OutputPath
+from dynaforge.options.words import Choice, Text
 
 HUGE = ("9" * 30, "9" * 5000, "-" + "9" * 5000)
 NOT_A_NUMBER = ("", " ", "x", "nan", "-nan", "inf", "-inf", "1e400", "٣", "1_0", "1,5", "0x10", "1\n2", "1\0", "½")
 NO_PATH = ("", "a\0b", "x" * 300, "x/" * 3000)
 BY_FUNCTION = {
-    options.shard: ("", "0", "1/1", "2/1", "-1/4", "0/0", "٠/٤", "0/1000000000000", "0/4/5", "a/b", "0/4\n"),
-    options.minutes: ("", "soon", "0", "0s", "-1m", "nan", "inf", "1e400h", "٣m", "1_0m", "5d", "m"),
-    task_arguments.task: ("", "cann", "gone.py", "broken.py", "a folder", "DynaForge/X-v0", "a\nb", "a\0b", "x" * 5000),
-    task_arguments._task_or_all: ("", "cann", "gone.py", "broken.py", "alle", "a\nb"),
+    numbers.shard: ("", "0", "1/1", "2/1", "-1/4", "0/0", "٠/٤", "0/1000000000000", "0/4/5", "a/b", "0/4\n"),
+    numbers.minutes: ("", "soon", "0", "0s", "-1m", "nan", "inf", "1e400h", "٣m", "1_0m", "5d", "m"),
+    tasks.task: ("", "cann", "gone.py", "broken.py", "a folder", "DynaForge/X-v0", "a\nb", "a\0b", "x" * 5000),
+    tasks.task_or_all: ("", "cann", "gone.py", "broken.py", "alle", "a\nb"),
 }  # fmt: skip
 
 
 def nonsense(kind: object) -> tuple[str, ...]:
     """Return what an option of some type must refuse."""
     match kind:
-        case Whole():
+        case WholeNumber():
             return (*NOT_A_NUMBER, *HUGE, "1.5", "1e3", str(kind.minimum - 1), str(kind.maximum + 1))
         case Number():
             return (*NOT_A_NUMBER, *(str(end) for end in (kind.minimum - 1, kind.maximum + 1) if abs(end) < 1e300))
@@ -41,14 +43,14 @@ def nonsense(kind: object) -> tuple[str, ...]:
             return ("", "nonsense", f"{first}x", first.upper() + " ", f"{first}\n", "a\0b", "x" * 5000)
         case Text():
             return ("", "a\nb", "a\0b", "a\rb", "a/b", "../x", "x" * 5000)
-        case Existing():
+        case ExistingPath():
             wrong = "a folder" if kind.kind.endswith("file") else "a file"
-            return (*NO_PATH, "gone", "a file/below", wrong, *(["a folder"] if kind.holding else []))
-        case Written():
+            return (*NO_PATH, "gone", "a file/below", wrong, *(["a folder"] if kind.containing else []))
+        case OutputPath():
             wrong = "a folder" if kind.kind == "file" else "a file"
-            taken = ["data"] if kind.empty or kind.holding or kind.new else []
+            taken = ["data"] if kind.containing or kind.new else []
             return (*NO_PATH, "a\nb", "\udce4", "a file/below", "a link/below", "a link", wrong, *taken)
-    return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of options/values.py
+    return BY_FUNCTION[kind]  # type: ignore[index]  # KeyError: give the option one of the types of dynaforge/options
 
 
 @cache
@@ -139,23 +141,3 @@ print([name for name in ("torch", "pybullet", "pinocchio", "matplotlib", "rich")
     assert done.stdout == "[]\n"
     assert done.stderr.count("\n") == len(COMMANDS) + 5
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "value"),
-    [
-        (Whole(0), "007", 7), (Whole(-5), "-5", -5), (Whole(), "+3", 3), (Whole(0, 2**32 - 1), "4294967295", 2**32 - 1),
-        (Number(), "-1.5e-3", -0.0015), (Number(0.0), "0", 0.0), (Number(above=0.0), ".5", 0.5), (Number(), "3.", 3.0),
-        (options.minutes, "90s", 1.5), (options.minutes, "1.5h", 90.0), (options.minutes, "10", 10.0),
-        (options.shard, "0/1", (0, 1)),
-    ],
-)  # fmt: skip
-def test_numbers_are_read(kind: options.Whole, text: str, value: object) -> None:
-    assert kind(text) == value
-
-
-def test_a_folder_that_may_not_be_written_to_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(options.os, "access", lambda path, how: how == options.os.R_OK)  # root may do everything
-    for kind in ("file", "folder"):
-        with pytest.raises(Refused, match=f"new.*cannot be made: {tmp_path} is not writable"):
-            Written(kind)(str(tmp_path / "new"))

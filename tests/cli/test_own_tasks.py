@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import compare
+from dynaforge.cli.arguments.datasets import open_dataset
+from dynaforge.cli.arguments.tasks import chosen_task, chosen_tasks
 from dynaforge.cli.commands import COMMANDS
-from dynaforge.cli.dataset_arguments import open_dataset
 from dynaforge.cli.main import main
-from dynaforge.cli.task_arguments import chosen_task, chosen_tasks
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
 from dynaforge.generators import Generator, Goal, PlannerOnly, collect

@@ -16,7 +16,7 @@ from dynaforge.demos.exporters.frames import env_of
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
 from dynaforge.generators import LearnerGenerator, run_attempts
 from dynaforge.generators.bridge import EXPORTED, ExportBridge, acts_again
-from dynaforge.generators.collect import Goal, collect
+from dynaforge.generators.collecting import Goal, collect
 from dynaforge.tasks import TASK_NAMES, get_task
 
 FPS = 30

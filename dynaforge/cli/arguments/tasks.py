@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.options.values import Refused
+from dynaforge.options.refusal import Refused
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
-LONGEST = 1000  # characters of a task file's path
+LONGEST_PATH = 1000  # characters of a task file's path
 
 
 def add_task_argument(
@@ -17,38 +17,47 @@ def add_task_argument(
     """Add the argument that `chosen_tasks` or `chosen_task` reads.
 
     Args:
-        parser: Of the command.
+        parser: The command's.
         flags: "--task", or "task" where it stands without a flag.
         several: Whether more than one may be named, or "all".
         default: What an omitted flag means.
     """
     known = f"{', '.join(TASK_NAMES)}; an env id of one; or a task file such as ball.py"
     if flags == ("task",):
-        parser.add_argument("task", type=_task_or_all, help=f"one of {known}; or all")
+        parser.add_argument("task", type=task_or_all, help=f"one of {known}; or all")
     elif several:
         parser.add_argument(
-            *flags, dest="task", nargs="+", type=_task_or_all, default=[default], metavar="TASK",
+            *flags,
+            dest="task",
+            nargs="+",
+            type=task_or_all,
+            default=[default],
+            metavar="TASK",
             help=f"some of {known}; or all",
-        )  # fmt: skip
+        )
     else:
         parser.add_argument(*flags, dest="task", type=task, default=default, metavar="TASK", help=f"one of {known}")
 
 
 def add_own_task_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the task of a folder of demonstrations, which only a task of one's own needs."""
+    """Add the option that names the task of a folder of demonstrations, which only a user-defined task needs."""
     parser.add_argument(
-        "--task-file", "--task", dest="task_file", type=task, metavar="TASK",
+        "--task-file",
+        "--task",
+        dest="task_file",
+        type=task,
+        metavar="TASK",
         help="file of the task (its code is run), where it is one of your own",
-    )  # fmt: skip
+    )
 
 
 def task(text: str) -> str:
-    """See that a task exists, and return what was given for it.
+    """Check that a task exists, and return what was given for it.
 
     Raises:
         argparse.ArgumentTypeError: It does not.
     """
-    if len(text) > LONGEST or "\0" in text:
+    if len(text) > LONGEST_PATH or "\0" in text:
         raise Refused(f"is {shown(text)}; it must be a task's name, an env id or a task file.")
     try:
         get_task(text)
@@ -57,7 +66,8 @@ def task(text: str) -> str:
     return text
 
 
-def _task_or_all(text: str) -> str:
+def task_or_all(text: str) -> str:
+    """Return "all", or what `task` does."""
     return text if text == "all" else task(text)
 
 
@@ -76,9 +86,9 @@ def chosen_tasks(options: argparse.Namespace) -> list[Task]:
     Raises:
         ValueError: No such task, or one that was asked for twice, however it was written.
     """
-    asked = [options.task] if isinstance(options.task, str) else options.task
-    tasks = [get_task(name) for name in (TASK_NAMES if asked == ["all"] else asked)]
+    given = [options.task] if isinstance(options.task, str) else options.task
+    tasks = [get_task(name) for name in (TASK_NAMES if given == ["all"] else given)]
     names = [task.name for task in tasks]
-    if twice := [given for given, name in zip(asked, names, strict=False) if names.count(name) > 1]:
+    if twice := [text for text, name in zip(given, names, strict=False) if names.count(name) > 1]:
         raise ValueError(f"{' and '.join(twice)} are one and the same task; ask for it once.")
     return tasks

@@ -1,0 +1,82 @@
+"""The arguments of `dynaforge collect`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.shared import add_workers
+from dynaforge.cli.arguments.tasks import add_task_argument, chosen_task
+from dynaforge.cli.command import Command
+from dynaforge.demos import DemonstrationDataset
+from dynaforge.generators.names import COLLECTING
+from dynaforge.options.numbers import SEED, WholeNumber, shard
+from dynaforge.options.paths import OutputPath
+from dynaforge.options.words import one_of
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_task_argument(parser, "--task")
+    parser.add_argument(
+        "--demos", type=WholeNumber(), help="stop after so many successes (default 50, without --attempts)"
+    )
+    parser.add_argument("--attempts", type=WholeNumber(), help="stop after so many attempts, successful or not")
+    parser.add_argument(
+        "--give-up-after",
+        type=WholeNumber(0),
+        metavar="N",
+        help="end, with the reasons, after N attempts in a row without a success; 0: never (default, with --demos: "
+        "20 for each demonstration, at least 50)",
+    )
+    parser.add_argument("--generator", **one_of("generator", COLLECTING), default="residual", help="what attempts")
+    add_policy(parser)
+    parser.add_argument("--seed", type=SEED, default=0, help="block of the condition stream: another, other conditions")
+    parser.add_argument(
+        "--shard",
+        type=shard,
+        default=(0, 1),
+        metavar="I/N",
+        help="every Nth condition, the I-th first; --demos and --attempts are then those of the shard (default: all)",
+    )
+    parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
+    add_workers(parser, "processes, or actors of the engine ray")
+    parser.set_defaults(workers=None)  # each engine knows its cores
+    engines = ("local", "ray")
+    parser.add_argument(
+        "--engine",
+        **one_of("engine", engines),
+        default="local",
+        help="this machine's cores, or those of a running Ray cluster",
+    )
+    parser.add_argument(
+        "--out",
+        type=OutputPath("folder", containing="dataset.json"),
+        help="a new folder, or that of an earlier run; by default data/TASK",
+    )
+
+
+def check(options: argparse.Namespace) -> None:
+    """Refuse what no generator would use, and a folder of another task."""
+    check_generators(options)
+    task, out = chosen_task(options).name, options.out or default_folder(options)
+    if (out / "dataset.json").is_file() and (stored := DemonstrationDataset(out).task) != task:
+        raise ValueError(f"--out {out} holds demonstrations of {stored!r}, not of {task!r}. Choose another folder.")
+
+
+def default_folder(options: argparse.Namespace) -> Path:
+    """Return where demonstrations are collected by default."""
+    return Path("data") / chosen_task(options).name
+
+
+COMMAND = Command(
+    text="demonstrations into a folder, on all cores; resumes",
+    examples=(
+        "collect --task can --demos 100",
+        "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4",
+    ),
+    add=add,
+    check=check,
+    default_out=default_folder,
+)

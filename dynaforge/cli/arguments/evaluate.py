@@ -1,0 +1,77 @@
+"""The arguments of `dynaforge evaluate`."""
+
+from __future__ import annotations
+
+import argparse
+
+from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.shared import add_observations, add_stream, add_workers
+from dynaforge.cli.arguments.tasks import add_task_argument
+from dynaforge.cli.command import Command
+from dynaforge.generators.names import GENERATORS
+from dynaforge.options.numbers import Number, WholeNumber
+from dynaforge.options.parser import Distinct
+from dynaforge.options.paths import OutputPath
+from dynaforge.options.words import Choice, Text
+
+NAMED = tuple(name for name in GENERATORS if name != "learner")  # which --learner stands for
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_task_argument(parser, "--task", several=True)
+    parser.add_argument(
+        "--generator",
+        nargs="+",
+        type=Choice("generator", NAMED),
+        action=Distinct,
+        metavar="NAME",
+        help=f"of {', '.join(NAMED)} (default planner_only, without --learner)",
+    )
+    add_policy(parser)
+    parser.add_argument(
+        "--learner",
+        type=Text("module:function or file.py:function", r".+:[A-Za-z_][A-Za-z0-9_]*"),
+        metavar="MODULE:FUNCTION",
+        help="a policy learned from an export, as code that is run: FUNCTION(task) returns what maps an observation of "
+        "the export to a row of its actions; or FILE.py:FUNCTION",
+    )
+    add_observations(parser, "folder of `dynaforge render` whose cameras the learner was trained with")
+    add_stream(parser, "val")
+    parser.add_argument("--seeds", type=WholeNumber(), default=3, help="blocks of conditions")
+    parser.add_argument("--attempts", type=WholeNumber(), default=100, help="conditions per block")
+    parser.add_argument("--strata", action="store_true", help="spread each block evenly over 8 difficulty bins")
+    parser.add_argument(
+        "--oracle-tries", type=WholeNumber(), help="constant residuals per condition, for oracle (default 64)"
+    )
+    parser.add_argument("--sigma", type=Number(0.0, 100.0), help="noise, for the generator exploring (default 0.25)")
+    add_workers(parser)
+    parser.add_argument(
+        "--out",
+        type=OutputPath("file"),
+        help="JSON file, conditions and outcomes included; by default runs/evaluate/GENERATORS-STREAM.json",
+    )
+
+
+def check(options: argparse.Namespace) -> None:
+    """Settle which generators are measured, and refuse what none of them would use."""
+    if options.observations and not options.learner:
+        raise ValueError("--observations is for --learner; no generator looks at pictures.")
+    if options.generator is None:
+        options.generator = [] if options.learner else ["planner_only"]
+    check_generators(options)
+    if options.learner:
+        options.generator.append("learner")
+
+
+COMMAND = Command(
+    text="demonstration generation rate of a generator on stored condition streams",
+    examples=(
+        "evaluate --task can --generator planner_only residual",
+        "evaluate --task all --stream test --attempts 200",
+        "evaluate --task can --learner my_policy.py:load",
+    ),
+    add=add,
+    check=check,
+    default_out=lambda options: f"runs/evaluate/{'+'.join(options.generator)}-{options.stream}.json",
+)

@@ -1,0 +1,34 @@
+"""Options that several commands take, with the same meaning in all of them."""
+
+from __future__ import annotations
+
+import argparse
+
+from dynaforge.options.numbers import WholeNumber
+from dynaforge.options.paths import ExistingPath
+from dynaforge.options.words import one_of
+from dynaforge.sampling.processes import usable_cores
+from dynaforge.tasks import STREAMS
+
+MOST_WORKERS = 1000
+
+
+def add_workers(parser: argparse.ArgumentParser, what: str = "processes") -> None:
+    """Add --workers."""
+    parser.add_argument(
+        "--workers",
+        type=WholeNumber(1, MOST_WORKERS),
+        default=usable_cores(),
+        help=f"{what}; by default one per core that this process may use",
+    )
+
+
+def add_stream(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add --stream."""
+    parser.add_argument("--stream", **one_of("stream", STREAMS), default=default, help="choose on val, report on test")
+
+
+def add_observations(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add --observations, a folder of rendered observations."""
+    folder = ExistingPath("folder", containing="settings.json", complaint="holds no observations")
+    parser.add_argument("--observations", type=folder, help=text)

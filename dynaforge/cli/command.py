@@ -1,0 +1,61 @@
+"""What makes a command: its arguments, their check, and the module that runs it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynaforge.cli.arguments.datasets import open_dataset
+from dynaforge.cli.arguments.tasks import chosen_tasks
+from dynaforge.options.parser import Parser
+
+
+def _do_nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
+    """Add no argument; find no mistake."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """A command with arguments of its own.
+
+    Attributes:
+        text: What it does, in one line.
+        examples: Command lines that teach, without "dynaforge".
+        add: Adds its arguments to a parser.
+        check: Checks the options together.
+        default_out: Returns what --out means where it is not given; it is then checked as if it had been given.
+        module: The module of `dynaforge.cli` whose `run` does the work; "" where it is called like the command.
+    """
+
+    text: str
+    examples: tuple[str, ...]
+    add: Callable[[argparse.ArgumentParser], None] = _do_nothing
+    check: Callable[[argparse.Namespace], None] = _do_nothing
+    default_out: Callable[[argparse.Namespace], str | Path] | None = None
+    module: str = ""
+
+    def parser(self, name: str) -> Parser:
+        """Return the parser of its arguments."""
+        examples = [f"dynaforge {line}" for line in self.examples]
+        parser = Parser(prog=f"dynaforge {name}", description=f"{self.text}.", examples=examples)
+        self.add(parser)
+        return parser
+
+    def read(self, name: str, arguments: Sequence[str]) -> argparse.Namespace:
+        """Return the options that arguments mean, each checked alone and all of them together.
+
+        Raises:
+            ValueError: One is wrong, or they contradict each other; the message names the option.
+        """
+        parser = self.parser(name)
+        options: argparse.Namespace = parser.parse_args(arguments)
+        if "task" in options:
+            chosen_tasks(options)
+        if "folder" in options:
+            open_dataset(options)
+        self.check(options)
+        if self.default_out is not None and options.out is None:
+            options.out = parser.parse_args([f"--out={self.default_out(options)}", *arguments]).out
+        return options
