@@ -15,7 +15,7 @@ from stable_baselines3.common.buffers import BaseBuffer
 from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.common.vec_env import VecNormalize
 
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class KeptTransitions:
     log_probs: th.Tensor
     advantages: th.Tensor
     weights: th.Tensor
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return len(self.log_probs)

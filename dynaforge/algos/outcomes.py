@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
 
 from dynaforge.algos.advantages import frontier_mask
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 from dynaforge.sampling.dispatch import FinishedEpisode
 from dynaforge.sampling.sampler import Group
 
@@ -33,6 +33,8 @@ class GroupOutcomes:
     success: NDArray[np.bool_] | None
     strata: NDArray[np.int64]
     conditions: tuple[Any, ...]
+
+    __repr__ = one_line
 
     @staticmethod
     def of(groups: Sequence[Group], episodes: Mapping[int, FinishedEpisode], group_size: int) -> GroupOutcomes:

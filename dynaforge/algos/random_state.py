@@ -11,6 +11,8 @@ import numpy as np
 import torch as th
 from stable_baselines3.common.vec_env import VecNormalize
 
+from dynaforge.geometry import one_line
+
 
 @dataclass(frozen=True)
 class RandomState:
@@ -27,6 +29,8 @@ class RandomState:
     torch: tuple[th.Tensor, ...]
     num_timesteps: int
     normalisation: Any = None
+
+    __repr__ = one_line
 
     @staticmethod
     def of(

@@ -187,6 +187,14 @@ class DemonstrationDataset:
     def __len__(self) -> int:
         return len(self.ids())
 
+    def __repr__(self) -> str:
+        try:
+            n = len(self)
+            held = f"{n} episode{'s' if n != 1 else ''}"
+        except DamagedFileError:
+            held = "damaged"
+        return f"DemonstrationDataset({str(self.path)!r}, {self.task}, {held})"
+
     def __iter__(self) -> Iterator[Episode]:
         return (self[name] for name in self.ids())
 

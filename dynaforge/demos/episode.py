@@ -102,6 +102,10 @@ class Episode:
     def __len__(self) -> int:
         return len(self.steps["time"]) if self.steps else 0
 
+    def __repr__(self) -> str:
+        outcome = "success" if self.success else f"failure {self.failure!r}"
+        return f"Episode({self.condition.task}, {self.generator}, {outcome}, {len(self)} steps)"
+
     @property
     def id(self) -> str:
         """Condition id and generator: also the file's name."""

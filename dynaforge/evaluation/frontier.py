@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynaforge.evaluation.statistics import wilson_bounds
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 
 WINDOW = 20
 SMOOTHING = 9
@@ -33,6 +33,8 @@ class FrontierAnalysis:
     order: NDArray[np.int64]
     depth: NDArray[np.int64]
     frontier: Array
+
+    __repr__ = one_line
 
     @property
     def overall(self) -> Array:

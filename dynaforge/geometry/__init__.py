@@ -1,5 +1,6 @@
 """Poses, rotations and joint trajectories: pure numpy."""
 
+from dynaforge.geometry.one_line import one_line
 from dynaforge.geometry.pose import (
     Array,
     Pose,
@@ -20,6 +21,7 @@ __all__ = [
     "matrix_from_quat",
     "matrix_from_rotation_6d",
     "matrix_from_rotvec",
+    "one_line",
     "quat_from_matrix",
     "rotation_6d_from_matrix",
     "rotation_z",

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dynaforge.geometry.one_line import one_line
+
 Array = NDArray[np.float64]
 
 
@@ -24,6 +26,8 @@ class Pose:
 
     rotation: Array
     position: Array
+
+    __repr__ = one_line
 
     @staticmethod
     def identity() -> Pose:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dynaforge.geometry.one_line import one_line
 from dynaforge.geometry.pose import Array
 
 
@@ -22,6 +23,8 @@ class JointTrajectory:
     q: Array
     dq: Array
     ddq: Array
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return len(self.q)

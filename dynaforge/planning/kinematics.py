@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dposv  # type: ignore[import-untyped, unused-ignore]
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, Pose, one_line
 from dynaforge.sim.robot import ELBOW, RobotDescription
 
 POSITION_TOLERANCE = 1e-4  # metres
@@ -41,6 +41,8 @@ class IkResult:
     position_error: float
     rotation_error: float
     converged: bool
+
+    __repr__ = one_line
 
 
 @lru_cache(maxsize=4)

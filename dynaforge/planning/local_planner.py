@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, Pose, one_line
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.sim.robot import RobotDescription
 
@@ -32,6 +32,8 @@ class JointReference:
     ddq: Array
     width: float
     width_speed: float
+
+    __repr__ = one_line
 
 
 class LocalPlanner:

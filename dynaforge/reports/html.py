@@ -13,6 +13,7 @@ from typing import Any
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference, describe_gain
 from dynaforge.files.atomic import atomic_write
+from dynaforge.geometry import one_line
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.template import PAGE, STYLE
 
@@ -27,6 +28,8 @@ class ReportFigure:
     caption: str
     image: bytes
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, slots=True)
 class Clip:
@@ -37,6 +40,8 @@ class Clip:
     success: bool
     failure: str = ""
     caption: str = ""
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from dynaforge.geometry import one_line
 from dynaforge.sampling.job_routes import choose_route, idle_action
 from dynaforge.sampling.sampler import Job
 from dynaforge.sampling.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
@@ -64,6 +65,8 @@ class DispatchStep:
     dones: NDArray[np.bool_]
     infos: list[dict[str, Any]]
     finished: list[FinishedEpisode]
+
+    __repr__ = one_line
 
 
 class EpisodeDispatcher:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dynaforge.geometry import Pose, rotation_z
+from dynaforge.geometry import Pose, one_line, rotation_z
 from dynaforge.sim import SceneState
 
 HEADING_SPEED = 0.02  # m/s: below it a heading keeps its last direction
@@ -34,6 +34,8 @@ class PhaseView:
     entry_frames: Mapping[str, Pose]
     grasp: SceneState | None = None
     lead_time: float = 0.0
+
+    __repr__ = one_line
 
     def T_ee_held(self, name: str) -> Pose:  # noqa: N802 - named as poses are
         """Pose of an object in the hand as measured at the grasp; now, if nothing was grasped."""

@@ -18,7 +18,7 @@ from rich.table import Table
 
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
 from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_tasks
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 from dynaforge.training.history import TrainingHistory
 
 PLANNER = "planner_only"
@@ -53,6 +53,8 @@ class StoredRun:
     conditions: tuple[str, ...]
     failures: tuple[str, ...]
     exam: dict[str, Any]
+
+    __repr__ = one_line
 
     @staticmethod
     def load(folder: Path) -> StoredRun:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
 from dynaforge.files.atomic import atomic_write
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 
 STRATA = 16
 
@@ -59,6 +59,8 @@ class TrainingHistory:
     optimize_wall: list[float] = field(default_factory=list)
     optimize_cpu: list[float] = field(default_factory=list)
     probes: list[Probe] = field(default_factory=list)
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         """Number of updates."""

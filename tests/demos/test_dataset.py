@@ -166,3 +166,12 @@ def test_a_ledger_that_is_a_link_is_not_written_to(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="a ledger that is a link is not written to"):
         Ledger(tmp_path / "ledger.jsonl").append(Attempt.of(make_episode(0)))
     assert not elsewhere.read_bytes()
+
+
+def test_a_dataset_is_shown_on_one_line(tmp_path: Path) -> None:
+    dataset = DemonstrationDataset(tmp_path / "data", task="can")
+    dataset.add(make_episode())
+    assert repr(dataset) == f"DemonstrationDataset('{tmp_path}/data', can, 1 episode)"
+    (tmp_path / "data" / "episodes").rename(tmp_path / "gone")
+    (tmp_path / "data" / "episodes").write_text("")
+    assert repr(dataset) == f"DemonstrationDataset('{tmp_path}/data', can, damaged)"

@@ -125,3 +125,8 @@ def test_outcome_and_reason_must_agree():
 def test_schema_page_lists_every_name():
     page = schema_markdown()
     assert all(f"`{name}`" in page for name in SCHEMA)
+
+
+def test_an_episode_is_shown_on_one_line() -> None:
+    assert repr(make_episode()) == "Episode(can, planner, success, 20 steps)"
+    assert repr(make_episode(success=False, steps=3)) == "Episode(can, planner, failure 'timeout in close', 3 steps)"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.observations import ObservationFolder
+from dynaforge.geometry import one_line
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ACTION_MODES, JOINTS, ROTATIONS, ActionLayout, without_jumps
 
@@ -70,6 +71,8 @@ class Frames:
     points: Floats | None
     point_colors: NDArray[np.uint8] | None
     episode: Episode
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return len(self.actions)
