@@ -71,17 +71,13 @@ def _openings(scene: SimScene, task: Task, wanted: float, *, ramped: bool) -> It
 
 def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
     """Command the openings; return the largest speed of a finger (m/s) and the opening at the end (m)."""
-    client, body = scene.client, scene.robot_id
-    names = [client.getJointInfo(body, i)[1].decode() for i in range(client.getNumJoints(body))]
-    fingers = [names.index(name) for name in scene.robot.finger_joints]
-    before = np.array([joint[0] for joint in client.getJointStates(body, fingers)])
+    before, _ = scene.fingers()
     fastest, width = 0.0, 0.0
     for opening in openings:
         width = scene.step(scene.robot.q_ready, opening).width
-        states = client.getJointStates(body, fingers)
-        after = np.array([joint[0] for joint in states])
-        moved = np.abs(after - before).max() / scene.spec.physics_dt
-        fastest = max(fastest, float(moved), *(abs(joint[1]) for joint in states))
+        after, speeds = scene.fingers()
+        moved = np.abs(after - before) / scene.spec.physics_dt
+        fastest = max(fastest, float(moved.max()), float(np.abs(speeds).max()))
         before = after
     return fastest, width
 

@@ -13,8 +13,8 @@ from dynaforge.benchmarks.episodes import bench_conditions, run_zero_residual, s
 from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
-from dynaforge.geometry import Array
 from dynaforge.sim import Condition, SceneState, SimScene
+from dynaforge.sim.bare import MotorCommands, motor_commands, replay_bare
 from dynaforge.tasks import Task
 
 RESET_LIMIT = 2e-3  # seconds
@@ -58,14 +58,12 @@ class Recording:
 
     Attributes:
         condition: Its condition.
-        commands: For each control step the joint targets of its substeps, their velocity and the opening.
-        fixtures: For each control step the speeds of the motors of every fixture.
+        commands: Those of each control step.
         end: The last measured state.
     """
 
     condition: Condition
-    commands: list[tuple[list[list[float]], list[float], float]]
-    fixtures: list[list[list[float]]]
+    commands: list[MotorCommands]
     end: SceneState
 
 
@@ -92,7 +90,7 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
         for recording in recordings:
             run_zero_residual(env, recording.condition)
         whole.append((time.process_time() - begin) / steps)
-        replays = [replay_bare(env.world.scene, recording) for recording in recordings]
+        replays = [_replay(env.world.scene, recording) for recording in recordings]
         bare.append(sum(seconds for seconds, _ in replays) / steps)
         astray += sum(not exact for _, exact in replays)
     env.close()
@@ -117,51 +115,13 @@ def _record(env: ResidualEnv, condition: Condition) -> Recording:
         run_zero_residual(env, condition)
     finally:
         env.world.listeners.clear()
-    spec = env.task.scene
-    shares = np.arange(1, spec.substeps + 1)[:, None] / spec.substeps
-    commands, start = [], env.world.scene.robot.q_ready
-    for step in steps:
-        q: Array = step.reference.q
-        velocity = ((q - start) / spec.control_dt).tolist()
-        commands.append(((start + shares * (q - start)).tolist(), velocity, step.reference.width))
-        start = q
-    return Recording(condition, commands, _fixture_speeds(env.world.scene, condition, steps), steps[-1].after)
+    references = [(step.reference.q, step.reference.width) for step in steps]
+    return Recording(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
 
 
-def _fixture_speeds(scene: SimScene, condition: Condition, steps: list[ControlStep]) -> list[list[list[float]]]:
-    """Simulate an episode once more, and return the speeds that its fixtures are asked for."""
-    if not scene.fixtures:
-        return [[] for _ in steps]
-    state, dt, speeds = scene.reset(condition), scene.spec.control_dt, []
-    for step in steps:
-        speeds.append([fixture.due(state.time + dt, dt) for fixture in scene.fixtures.values()])
-        state = scene.step(step.reference.q, step.reference.width)
-    return speeds
-
-
-def replay_bare(scene: SimScene, recording: Recording) -> tuple[float, bool]:
-    """Replay an episode's motor commands with nothing around them.
-
-    Returns:
-        CPU seconds, and whether it ended in the recorded state bit for bit.
-    """
-    scene.reset(recording.condition)
-    # The scene's own bound calls: any other way of calling Bullet is slower and would flatter the ratio.
-    command_arm, step_physics, finger_motors = scene._command_arm, scene._step_physics, scene._finger_motors
-    fixtures = tuple(scene.fixtures.values())
-    commanded = None
-    begin = time.process_time()
-    for (path, velocity, width), speeds in zip(recording.commands, recording.fixtures, strict=False):
-        if width != commanded:
-            commanded = width
-            for command in finger_motors:
-                command(targetPosition=width / 2)
-        for fixture, due in zip(fixtures, speeds, strict=True):
-            fixture.command(due)
-        for q in path:
-            command_arm(targetPositions=q, targetVelocities=velocity)
-            step_physics()
-    seconds = time.process_time() - begin
+def _replay(scene: SimScene, recording: Recording) -> tuple[float, bool]:
+    """Replay an episode bare: CPU seconds, and whether it ended in the recorded state bit for bit."""
+    seconds, end = replay_bare(scene, recording.condition, recording.commands)
     # Index 4 holds time and width: the bare loop keeps no time.
-    pairs = list(zip(state_arrays(scene.observe()), state_arrays(recording.end), strict=True))
+    pairs = list(zip(state_arrays(end), state_arrays(recording.end), strict=True))
     return seconds, all(np.array_equal(a, b) for i, (a, b) in enumerate(pairs) if i != 4)

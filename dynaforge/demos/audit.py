@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
-from dynaforge.sim import RobotDescription, SimScene, franka
+from dynaforge.sim import RobotDescription, franka
 
 FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
 PUSHED = 1.5  # m/s that turning and closing fingers may add to an object within a control step
@@ -130,7 +129,7 @@ def _hand_alone(episode: Episode) -> NDArray[np.bool_]:
 
 
 def _depths(episode: Episode, replayer: Replayer) -> Iterator[Flag]:
-    depths = [deepest_contacts(replayer.scene) for _ in replayer.states(episode)]
+    depths = [replayer.scene.overlaps() for _ in replayer.states(episode)]
     for pair in depths[0]:
         depth = np.array([row[pair] for row in depths])
         run, longest, end = 0, 0, 0
@@ -140,14 +139,6 @@ def _depths(episode: Episode, replayer: Replayer) -> Iterator[Flag]:
                 longest, end = run, step
         if longest > LASTING:
             worst = 1000 * depth.max()
-            yield Flag(end - longest + 1, f"{pair} overlap by up to {worst:.0f} mm for {longest} steps", 1)
-
-
-def deepest_contacts(scene: SimScene) -> dict[str, float]:
-    """Return how deep each pair of things overlaps now, metres; what is bolted to each other is left out."""
-    bolted = {"table", *scene.fixtures}
-    return {
-        f"{a} and {b}": max((-contact[8] for contact in scene.client.getContactPoints(i, j)), default=0.0)
-        for (a, i), (b, j) in combinations(scene.things.items(), 2)
-        if not {a, b} <= bolted
-    }
+            yield Flag(
+                end - longest + 1, f"{' and '.join(pair)} overlap by up to {worst:.0f} mm for {longest} steps", 1
+            )

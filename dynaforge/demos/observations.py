@@ -19,11 +19,11 @@ from dynaforge.demos.observation_file import AGAIN, SETTINGS, Layout, read_obser
 from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_of, parse_json, printable, read_file
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
-from dynaforge.sim.camera import Camera, Image, see, world_points
+from dynaforge.sim.camera import Camera, Image, world_points
 from dynaforge.tasks import Task
 
 if TYPE_CHECKING:  # whoever only reads observations does without physics
-    from dynaforge.sim import SceneState, SimScene
+    from dynaforge.sim import SimScene
 
 WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
 FOLDER = "observations"
@@ -134,8 +134,8 @@ class ObservationRenderer:
                 a point of the workspace.
         """
         columns: dict[str, list[Any]] = {}
-        for state in self._replayer.recorded_states(episode):
-            for name, value in self._views.of(self._replayer.scene, state):
+        for _ in self._replayer.recorded_states(episode):
+            for name, value in self._views.of(self._replayer.scene):
                 columns.setdefault(name, []).append(value)
         if "points" in columns and not np.any(columns["points"]):
             raise ValueError("No camera ever sees a point in the workspace; move a camera or widen the workspace.")
@@ -143,7 +143,7 @@ class ObservationRenderer:
 
     def things(self) -> list[str]:
         """Name what the numbers of a segmentation stand for, in order."""
-        return list(self._replayer.scene.things)
+        return list(self._replayer.scene.names)
 
     def close(self) -> None:
         """Release physics; legal twice."""
@@ -162,14 +162,13 @@ class Views:
         self._low, self._high = (np.array(corner) for corner in settings.workspace)
         self._thin = farthest_points if settings.points else None
 
-    def of(self, scene: SimScene, state: SceneState) -> Iterator[tuple[str, Any]]:
+    def of(self, scene: SimScene) -> Iterator[tuple[str, Any]]:
         """Yield name and array of each view, as `ObservationRenderer.render` stacks them.
 
         Args:
             scene: What to look at.
-            state: Its state, from which a camera on the hand looks.
         """
-        images = [see(scene, camera, state.ee) for camera in self._settings.cameras]
+        images = [scene.image(camera) for camera in self._settings.cameras]
         for camera, image in zip(self._settings.cameras, images, strict=True):
             if self._settings.images:
                 yield f"{camera.name}/rgb", image.rgb

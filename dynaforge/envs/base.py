@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.envs.observation import is_finite
-from dynaforge.envs.rendering import Renderer
 from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
+from dynaforge.sim.camera import Visuals, film_camera
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
@@ -32,14 +32,14 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
 
-    def __init__(self, task: str | Task, render_mode: str | None, *, visuals: bool | str = False) -> None:
+    def __init__(self, task: str | Task, render_mode: str | None, *, visuals: Visuals = False) -> None:
         self.task = task if isinstance(task, Task) else get_task(task)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}
         self.world = World(self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human")
         self._closed = False
-        self._renderer: Renderer | None = None
+        self._film_camera = film_camera(self.task.camera)
         self._condition: Condition | None = None
 
     @property
@@ -56,9 +56,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         self._must_be_open()
         if self.render_mode != "rgb_array":
             return None
-        if self._renderer is None:
-            self._renderer = Renderer(self.world.scene, self.task.camera)
-        return self._renderer.image()
+        return self.world.scene.picture(self._film_camera)
 
     def close(self) -> None:
         """Release physics; legal twice."""

@@ -1,4 +1,4 @@
-"""Where `SharedMemoryVecEnv` was imported from before it moved to `dynaforge.sampling.vector_env`; scripts may still."""
+"""Where `SharedMemoryVecEnv` was before it moved to `dynaforge.sampling.vector_env`; scripts may import it here."""
 
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 

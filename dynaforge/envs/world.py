@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaforge.envs.executor import PlannedAction
-from dynaforge.geometry import Array, Pose, matrix_from_rotvec
+from dynaforge.geometry import Array, Pose, matrix_from_rotvec, one_line
 from dynaforge.planning import (
     ArmKinematics,
     CollisionModel,
@@ -18,6 +18,7 @@ from dynaforge.planning import (
     TargetFollower,
 )
 from dynaforge.sim import Condition, SceneState, SimScene
+from dynaforge.sim.camera import Visuals
 from dynaforge.sim.checks import check_kind
 from dynaforge.tasks import Task
 
@@ -44,6 +45,8 @@ class ControlStep:
     requested_width: float
     reference: JointReference
 
+    __repr__ = one_line
+
 
 class World:
     """A task's scene with the planners that drive its robot.
@@ -54,7 +57,7 @@ class World:
         gui: Open Bullet's window.
     """
 
-    def __init__(self, task: Task, *, visuals: bool | str = False, gui: bool = False) -> None:
+    def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
         check_kind("task", task, Task)
         self.task = task
         self.scene = SimScene(task.scene, visuals=visuals, gui=gui)

@@ -92,7 +92,7 @@ class ExportBridge:
         observation["state"] = np.concatenate([observation[name] for name in STATE])
         observation["object_state"] = np.concatenate([observation[name] for name in objects])
         if self._views is not None:
-            observation |= _pictures(dict(self._views.of(self.env.world.scene, state)))
+            observation |= _pictures(dict(self._views.of(self.env.world.scene)))
         return observation
 
     def close(self) -> None:

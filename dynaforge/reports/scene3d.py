@@ -14,9 +14,9 @@ import numpy as np
 from dynaforge.demos import Episode
 from dynaforge.demos.replay import Replayer
 from dynaforge.files.atomic import atomic_write
-from dynaforge.geometry import Pose
+from dynaforge.geometry import Pose, one_line
 from dynaforge.reports.extras import load_extra
-from dynaforge.sim.shapes import LinkKey, VisualShape, link_pose, visual_shapes
+from dynaforge.sim.shapes import LinkName, VisualShape
 from dynaforge.tasks import Task
 
 FACES_OF_ROUND = 24
@@ -38,8 +38,10 @@ class Scene3D:
 
     task: Task
     episode: Episode
-    meshes: Mapping[LinkKey, Any]
-    poses: Mapping[LinkKey, list[Pose]]
+    meshes: Mapping[LinkName, Any]
+    poses: Mapping[LinkName, list[Pose]]
+
+    __repr__ = one_line
 
 
 class SceneRecorder:
@@ -61,15 +63,16 @@ class SceneRecorder:
             ValueError: It cannot be simulated again.
         """
         scene = self._replayer.scene
-        meshes: dict[LinkKey, Any] = {}
-        poses: dict[LinkKey, list[Pose]] = {}
+        meshes: dict[LinkName, Any] = {}
+        poses: dict[LinkName, list[Pose]] = {}
         for _ in self._replayer.recorded_states(episode):
             if not meshes:
-                shapes = visual_shapes(scene)
+                shapes = scene.shapes()
                 for link in dict.fromkeys(shape.link for shape in shapes):
                     meshes[link] = _mesh([shape for shape in shapes if shape.link == link])
+            now = scene.link_poses()
             for link in meshes:
-                poses.setdefault(link, []).append(link_pose(scene, link))
+                poses.setdefault(link, []).append(now[link])
         return Scene3D(self._task, episode, meshes, poses)
 
     def close(self) -> None:
@@ -152,7 +155,7 @@ def write_rerun(path: Path, scene: Scene3D) -> None:
                 vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_colors=mesh.visual.vertex_colors,
                 vertex_normals=mesh.vertex_normals,
             )  # fmt: skip
-            recording.log(f"scene/{name}/{link}", shape, static=True)
+            recording.log(["scene", name, link], shape, static=True)
         steps = scene.episode.steps
         recording.log("scene/path", rr.LineStrips3D([steps["ee_position"]], colors=[PATH_COLOR]), static=True)
         said = ""
@@ -161,7 +164,7 @@ def write_rerun(path: Path, scene: Scene3D) -> None:
             for (name, link), poses in scene.poses.items():
                 w, x, y, z = poses[step].quat_wxyz
                 moved = rr.Transform3D(translation=poses[step].position, quaternion=rr.Quaternion(xyzw=(x, y, z, w)))
-                recording.log(f"scene/{name}/{link}", moved)
+                recording.log(["scene", name, link], moved)
             for column, label in CURVES.items():
                 if column in steps:
                     recording.log(f"curves/{label}", rr.Scalars(np.atleast_1d(steps[column][step]).astype(float)))

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from dynaforge.demos import Episode
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.demos.replay import Replayer
-from dynaforge.envs.rendering import Renderer
+from dynaforge.geometry import one_line
 from dynaforge.reports.video import encode_mp4
+from dynaforge.sim.camera import film_camera
 from dynaforge.tasks import Task
 
 EVERY = 2  # control steps from picture to picture, as in the clips of a report
@@ -35,6 +36,8 @@ class Shown:
     scenes: Mapping[str, str] = field(default_factory=dict)
     note: str = ""
 
+    __repr__ = one_line
+
 
 class Filmer:
     """Makes the clip of an episode from its replay, at true speed and as the clips of a report look.
@@ -45,7 +48,7 @@ class Filmer:
 
     def __init__(self, task: Task) -> None:
         self._replayer = Replayer(task, visuals=True)
-        self._renderer = Renderer(self._replayer.scene, task.camera)
+        self._camera = film_camera(task.camera)
         self._fps = 1 / (EVERY * task.scene.control_dt)
 
     def film(self, episode: Episode) -> bytes:
@@ -54,8 +57,8 @@ class Filmer:
         Raises:
             ValueError: The episode cannot be simulated again.
         """
-        states = enumerate(self._replayer.recorded_states(episode))
-        return encode_mp4([self._renderer.image() for step, _ in states if step % EVERY == 0], fps=self._fps)
+        scene, states = self._replayer.scene, enumerate(self._replayer.recorded_states(episode))
+        return encode_mp4([scene.picture(self._camera) for step, _ in states if step % EVERY == 0], fps=self._fps)
 
     def close(self) -> None:
         """Release physics; legal twice."""

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.geometry import Array, Pose
-from dynaforge.sim.checks import check_flag, check_name, check_number, check_numbers, is_whole, shown
+from dynaforge.geometry import Array, Pose, one_line
+from dynaforge.sim.checks import check_choice, check_flag, check_name, check_number, check_numbers, is_whole, shown
 
 if TYPE_CHECKING:
-    from dynaforge.sim.scene import SimScene
+    from dynaforge.sim.bullet_scene import BulletScene
 
 Point = tuple[float, float, float]
+Visuals = bool | Literal["plain"]
+"""Which visual shapes a scene loads, see `SimScene`."""
+
 FLIP = np.diag((1.0, -1.0, -1.0))  # from OpenGL's camera axes (y up, looking along -z) to OpenCV's (y down, along z)
 LARGEST = 4096  # pixels of an edge: an image of more takes gigabytes
 LIGHT = (0.6, -0.6, 2.0)
@@ -38,6 +41,7 @@ class Camera:
     name: str
     eye: Point
     look_at: Point
+    _: KW_ONLY
     up: Point = (0.0, 0.0, 1.0)
     in_hand: bool = False
     size: tuple[int, int] = (128, 128)
@@ -107,50 +111,102 @@ class Camera:
             raise ValueError(f"No camera: {error}.") from error
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Image:
     """What a camera saw at one moment.
 
     Attributes:
         rgb: Shape (H, W, 3), uint8.
         depth: Distance along the optical axis, metres, shape (H, W), float32; `far` where nothing is.
-        segmentation: Which of `SimScene.things`, counted from 0, shape (H, W), int8; -1 where nothing is.
+        segmentation: Which of `names` each pixel shows, counted from 0, shape (H, W), int8; -1 where nothing is.
+        names: As `SimScene.names`.
         pose: `T_world_camera`.
     """
 
     rgb: NDArray[np.uint8]
     depth: NDArray[np.float32]
     segmentation: NDArray[np.int8]
+    names: tuple[str, ...]
     pose: Pose
 
+    __repr__ = one_line
 
-def see(scene: SimScene, camera: Camera, ee: Pose) -> Image:
-    """Take a picture of the scene as it is now; it must have been loaded with visuals.
+    def shows(self, name: str) -> NDArray[np.bool_]:
+        """Return which pixels show the robot, table, body or fixture of this name, shape (H, W).
+
+        Raises:
+            ValueError: The scene has none of that name.
+        """
+        check_choice("Image: name", name, self.names)
+        return np.equal(self.segmentation, self.names.index(name))
+
+
+def film_camera(view: tuple[Point, Point]) -> Camera:
+    """Return the camera of `render()` and films, which looks from the first point to the second (`Task.camera`)."""
+    eye, look_at = view
+    return Camera("film", eye, look_at, size=(480, 360), fov=45.0, near=0.05, far=8.0)
+
+
+def see(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
+    """Take an image of the scene as it is now, as `SimScene.image`.
 
     Args:
         scene: What to draw.
         camera: From where.
         ee: `T_world_ee` now, which a camera in the hand moves with.
     """
+    width, height = camera.size
+    pose = camera.pose(ee)
+    _, _, rgba, z, mask = _draw(scene, camera, _view_matrix(pose), shadow=0)
+    near, far = camera.near, camera.far
+    depth = far * near / (far - (far - near) * np.asarray(z, dtype=np.float64).reshape(height, width))
+    drawn = np.asarray(mask).reshape(height, width)
+    segmentation = np.full((height, width), -1, dtype=np.int8)
+    for index, body in enumerate(scene.bodies.values()):
+        segmentation[drawn == body] = index
+    return Image(
+        rgb=_rgb(rgba, camera),
+        depth=depth.astype(np.float32),
+        segmentation=segmentation,
+        names=tuple(scene.bodies),
+        pose=pose,
+    )
+
+
+def take_picture(scene: BulletScene, camera: Camera, ee: Pose) -> NDArray[np.uint8]:
+    """Take a picture with shadows of the scene as it is now, as `SimScene.picture`; arguments as for `see`."""
+    from dynaforge.sim.bullet import pybullet as p
+
+    if camera.in_hand:
+        view = _view_matrix(camera.pose(ee))
+    else:  # in Bullet's own rounding, to which films are the same pixel by pixel
+        view = list(p.computeViewMatrix(camera.eye, camera.look_at, camera.up))
+    return _rgb(_draw(scene, camera, view, shadow=1, flags=p.ER_NO_SEGMENTATION_MASK)[2], camera)
+
+
+def _draw(scene: BulletScene, camera: Camera, view: list[float], **options: int) -> Any:
+    """Draw with Bullet's software renderer; returns width, height, RGBA, depth and bodies."""
     from dynaforge.sim.bullet import pybullet as p  # here: whoever only reads about cameras does without the engine
 
     width, height = camera.size
-    pose = camera.pose(ee)
+    projection = p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
+    return scene.client.getCameraImage(
+        width, height, view, projection, renderer=p.ER_TINY_RENDERER, lightDirection=LIGHT, **options
+    )
+
+
+def _view_matrix(pose: Pose) -> list[float]:
+    """Lay out `T_camera_world`, in OpenGL's axes, column by column."""
     view = np.eye(4)
     view[:3, :3] = FLIP @ pose.rotation.T
     view[:3, 3] = -view[:3, :3] @ pose.position
-    projection = p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
-    _, _, rgba, z, mask = scene.client.getCameraImage(
-        width, height, view.T.ravel().tolist(), projection, renderer=p.ER_TINY_RENDERER, shadow=0, lightDirection=LIGHT
-    )
-    near, far = camera.near, camera.far
-    depth = far * near / (far - (far - near) * np.asarray(z, dtype=np.float64).reshape(height, width))
-    bodies = np.asarray(mask).reshape(height, width)
-    segmentation = np.full((height, width), -1, dtype=np.int8)
-    for index, body in enumerate(scene.things.values()):
-        segmentation[bodies == body] = index
-    rgb = np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
-    return Image(rgb.copy(), depth.astype(np.float32), segmentation, pose)
+    columns: list[float] = view.T.ravel().tolist()
+    return columns
+
+
+def _rgb(rgba: Any, camera: Camera) -> NDArray[np.uint8]:
+    width, height = camera.size
+    return np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3].copy()
 
 
 def world_points(camera: Camera, image: Image) -> tuple[Array, NDArray[np.bool_]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 from dynaforge.sim.checks import check_kind, check_number, check_text, check_tuple, finite_array, shown
 
 HAND_WIDTH = 0.08  # metres that the hand opens
@@ -15,7 +15,7 @@ ELBOW = 2
 """Index of the joint whose angle tells the elbow apart, as in Franka's own Cartesian interface."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RobotDescription:
     """Everything physics and planning must agree on about the arm.
 
@@ -53,6 +53,8 @@ class RobotDescription:
     width_max: float = HAND_WIDTH
     finger_speed_max: float = 0.05
     grip_force: float = 40.0
+
+    __repr__ = one_line
 
     def __post_init__(self) -> None:
         check_kind("RobotDescription: urdf", self.urdf, (str, Path))

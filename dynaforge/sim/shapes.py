@@ -2,62 +2,85 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from dynaforge.geometry import Pose
-from dynaforge.sim.bullet import pose_of
+from dynaforge.sim.bullet import joints_and_links, pose_of
 from dynaforge.sim.bullet import pybullet as p
-from dynaforge.sim.scene import SimScene
+from dynaforge.sim.bullet_scene import BulletScene
 
-KINDS = {p.GEOM_SPHERE: "sphere", p.GEOM_BOX: "box", p.GEOM_CYLINDER: "cylinder", p.GEOM_MESH: "mesh"}
-ROOT = -1  # Bullet's index of a body's root link
+ShapeKind = Literal["box", "sphere", "cylinder", "mesh"]
+LinkName = tuple[str, str]
+"""Which of `SimScene.names`, and the name of one of its links."""
 
-LinkKey = tuple[str, int]
+_KINDS: dict[int, ShapeKind] = {
+    p.GEOM_SPHERE: "sphere",
+    p.GEOM_BOX: "box",
+    p.GEOM_CYLINDER: "cylinder",
+    p.GEOM_MESH: "mesh",
+}
+_ROOT = -1  # Bullet's index of a body's root link
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VisualShape:
     """A shape on a link.
 
     Attributes:
-        link: Which of `SimScene.things`, and Bullet's index of the link; -1 for its root.
-        kind: "box", "sphere", "cylinder" (along z) or "mesh".
+        link: The link.
+        kind: What it is; the axis of a cylinder is z.
         size: Metres: edges of a box; radius of a sphere; length and radius of a cylinder; scale of a mesh.
         file: Of a mesh.
         pose: `T_link_shape`.
         rgb: Colour, each within [0, 1].
     """
 
-    link: LinkKey
-    kind: str
+    link: LinkName
+    kind: ShapeKind
     size: tuple[float, ...]
     file: Path | None
     pose: Pose
     rgb: tuple[float, float, float]
 
 
-def visual_shapes(scene: SimScene) -> list[VisualShape]:
-    """Return the shapes of everything that stands in the scene now; it must have been loaded with visuals.
-
-    Raises:
-        ValueError: A shape of a kind that is not drawn.
-    """
+def visual_shapes(scene: BulletScene) -> list[VisualShape]:
+    """Return the shapes of everything that stands in the scene now, as `SimScene.shapes`."""
+    names = {(body, index): link for link, body, index in _links(scene)}
     shapes = []
-    for name, body in scene.things.items():
-        for _, link, kind, size, file, position, quat, rgba in scene.client.getVisualShapeData(body):
-            if kind not in KINDS:
+    for name, body in scene.bodies.items():
+        for _, index, code, size, file, position, quat, rgba in scene.client.getVisualShapeData(body):
+            if code not in _KINDS:
                 raise ValueError(f"A visual of {name!r} is no box, sphere, cylinder or mesh; viewers cannot draw it.")
-            path = Path(file.decode()) if KINDS[kind] == "mesh" else None
-            used = {"sphere": 1, "cylinder": 2}.get(KINDS[kind], 3)
-            shapes.append(VisualShape((name, link), KINDS[kind], size[:used], path, pose_of(position, quat), rgba[:3]))
+            kind = _KINDS[code]
+            used = {"sphere": 1, "cylinder": 2}.get(kind, 3)
+            shape = VisualShape(
+                link=names[body, index],
+                kind=kind,
+                size=size[:used],
+                file=Path(file.decode()) if kind == "mesh" else None,
+                pose=pose_of(position, quat),
+                rgb=rgba[:3],
+            )
+            shapes.append(shape)
     return shapes
 
 
-def link_pose(scene: SimScene, link: LinkKey) -> Pose:
-    """`T_world_link` now."""
-    name, index = link
-    body = scene.things[name]
-    if index == ROOT:
+def link_poses(scene: BulletScene) -> dict[LinkName, Pose]:
+    """Return `T_world_link` of every link now, as `SimScene.link_poses`."""
+    return {link: _link_pose(scene, body, index) for link, body, index in _links(scene)}
+
+
+def _links(scene: BulletScene) -> Iterator[tuple[LinkName, int, int]]:
+    """Yield name, body and index of every link of the scene."""
+    for name, body in scene.bodies.items():
+        for link, index in joints_and_links(scene.client, body)[1].items():
+            yield (name, link), body, index
+
+
+def _link_pose(scene: BulletScene, body: int, index: int) -> Pose:
+    if index == _ROOT:
         return pose_of(*scene.client.getBasePositionAndOrientation(body))
     return pose_of(*scene.client.getLinkState(body, index, computeForwardKinematics=1)[4:6])

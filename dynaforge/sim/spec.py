@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
 from xml.etree import ElementTree
@@ -62,6 +62,7 @@ class FixtureSpec:
     name: str
     urdf: str | tuple[str, ...]
     link: str
+    _: KW_ONLY
     driven: tuple[str, ...] = ()
     spring: Spring | None = None
     lateral_friction: float = 0.8
@@ -121,6 +122,7 @@ class BodySpec:
 
     name: str
     urdf: str
+    _: KW_ONLY
     lateral_friction: float = 0.8
     rolling_friction: float = 2e-4
     spinning_friction: float = 0.0
@@ -138,7 +140,7 @@ class BodySpec:
             raise ValueError(f"Body {self.name!r} has no joints {unknown}; {self.urdf} has {sorted(joints)}.")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SceneSpec:
     """The physical scene of a task.
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, Pose, one_line
 from dynaforge.sim.checks import check_kind, check_number, check_pose, check_whole, finite_array
 
 
@@ -28,6 +28,8 @@ class Launch:
     mass: float
     joint_speeds: Mapping[str, float] = field(default_factory=dict)
 
+    __repr__ = one_line
+
     def __post_init__(self) -> None:
         check_pose("Launch: pose", self.pose)
         for name in ("velocity", "angular_velocity"):
@@ -38,7 +40,7 @@ class Launch:
             check_number(f"Launch: joint_speeds[{joint!r}]", speed)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
     """How a joint motor moves one joint of a fixture: steadily, to and fro, or both.
 

@@ -4,8 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, Pose, one_line
+
+
+class BodyColumn(NamedTuple):
+    """One quantity of a body, in world coordinates.
+
+    Attributes:
+        size: How many numbers.
+        unit: SI unit, "-" for none.
+        meaning: One sentence.
+    """
+
+    size: int
+    unit: str
+    meaning: str
+
+
+BODY_COLUMNS: Mapping[str, BodyColumn] = MappingProxyType(
+    {
+        "position": BodyColumn(3, "m", "Origin of the body."),
+        "quat_wxyz": BodyColumn(4, "-", "Orientation of the body, unit quaternion."),
+        "velocity": BodyColumn(3, "m/s", "Linear velocity of its centre of mass."),
+        "angular_velocity": BodyColumn(3, "rad/s", "Angular velocity."),
+    }
+)
+"""What recordings, observations and exports hold of a body, in this order; `BodyState.columns` holds the values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,8 +49,16 @@ class BodyState:
     velocity: Array
     angular_velocity: Array
 
+    __repr__ = one_line
 
-@dataclass(frozen=True, slots=True, eq=False)
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Its values by the names of `BODY_COLUMNS`, in that order."""
+        values = (self.pose.position, self.pose.quat_wxyz, self.velocity, self.angular_velocity)
+        return dict(zip(BODY_COLUMNS, values, strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SceneState:
     """The measured scene at the end of a control step.
 
@@ -49,3 +84,6 @@ class SceneState:
     on_table: Mapping[str, bool]
     stopped: bool = False
     pressed: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"SceneState({self.time:.3f} s, {', '.join(self.objects)}, hand {1e3 * self.width:.0f} mm open)"

@@ -108,8 +108,8 @@ TASK = Task(
         # Painted wood. At 0.8 a block that stands askew between the fingers jams there, and does not turn flat to them.
         bodies=(BodySpec("block", "block/block.urdf", lateral_friction=0.5),),
         fixtures=(
-            FixtureSpec("tray", "block/tray.urdf", "tray", LEVELLED),
-            FixtureSpec("pad", "block/pad.urdf", "pad", DRIVEN),
+            FixtureSpec("tray", "block/tray.urdf", "tray", driven=LEVELLED),
+            FixtureSpec("pad", "block/pad.urdf", "pad", driven=DRIVEN),
         ),
         solver_iterations=50,  # with 20 a fingertip that presses on the block's edge sinks 18 mm in
         launch=launch,

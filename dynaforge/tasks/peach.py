@@ -101,7 +101,7 @@ TASK = Task(
     scene=SceneSpec(
         bodies=(BodySpec("peach", "peach/peach.urdf"),),
         # The bowl is lined: on bare glaze the peach would roll to and fro for seconds.
-        fixtures=(FixtureSpec("bowl", "peach/bowl.urdf", "bowl", DRIVEN, rolling_friction=0.006),),
+        fixtures=(FixtureSpec("bowl", "peach/bowl.urdf", "bowl", driven=DRIVEN, rolling_friction=0.006),),
         launch=launch,
     ),
     conditions=CONDITIONS,

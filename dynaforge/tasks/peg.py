@@ -92,7 +92,7 @@ TASK = Task(
         bodies=(BodySpec("peg", "peg/peg.urdf", lateral_friction=0.5),),
         fixtures=(
             FixtureSpec("rack", "peg/rack.urdf", "rack", lateral_friction=0.3),
-            FixtureSpec("hole", HOLES, "hole", DRIVEN, lateral_friction=0.3),
+            FixtureSpec("hole", HOLES, "hole", driven=DRIVEN, lateral_friction=0.3),
         ),
         launch=launch,
         physics_dt=1 / 480,

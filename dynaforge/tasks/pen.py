@@ -100,7 +100,7 @@ TASK = Task(
         bodies=(BodySpec("pen", "pen/pen.urdf", lateral_friction=0.4),),
         fixtures=(
             FixtureSpec("rack", "pen/rack.urdf", "rack"),
-            FixtureSpec("holder", HOLDERS, "holder", DRIVEN, lateral_friction=0.4),
+            FixtureSpec("holder", HOLDERS, "holder", driven=DRIVEN, lateral_friction=0.4),
         ),
         launch=launch,
         physics_dt=1 / 480,  # at 1/240 s a hand that misses pushes the light pen 9 mm into the rim, at this 1.5 mm

@@ -174,10 +174,10 @@ def test_six_histories_leave_one_hash_and_a_reset_that_keeps_joint_velocities_is
     exact = SimScene.reset
 
     def teleport(scene, condition):
-        before = [joint[1] for joint in scene.client.getJointStates(scene.robot_id, range(7))]
+        bullet, before = scene._bullet, scene.observe().dq.tolist()
         exact(scene, condition)
-        for joint, speed in enumerate(before):
-            scene.client.resetJointState(scene.robot_id, joint, float(scene.robot.q_ready[joint]), speed)
+        for joint, q, speed in zip(bullet.robot.arm, scene.robot.q_ready.tolist(), before, strict=True):
+            bullet.client.resetJointState(bullet.robot.body, joint, q, speed)
         return scene.observe()
 
     monkeypatch.setattr(SimScene, "reset", teleport)

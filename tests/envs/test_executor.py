@@ -26,7 +26,16 @@ REFERENCE = JointReference(np.zeros(7), np.full(7, 0.1), np.full(7, 0.2), 0.08, 
 def scene(x: float = 0.5, z: float = 0.033, *, touching: tuple[bool, bool] = (False, False), vx: float = 0.0):
     body = BodyState(Pose(np.eye(3), np.array((x, 0.0, z))), np.array((vx, 0.0, 0.0)), np.zeros(3))
     hand = Pose(DOWN_ALONG_X, np.array((0.5, 0.0, 0.2)))
-    return SceneState(0.0, np.zeros(7), np.zeros(7), hand, 0.08, {"can": body}, {"can": touching}, {"can": True})
+    return SceneState(
+        time=0.0,
+        q=np.zeros(7),
+        dq=np.zeros(7),
+        ee=hand,
+        width=0.08,
+        objects={"can": body},
+        touching={"can": touching},
+        on_table={"can": True},
+    )
 
 
 GRASPED = scene(touching=(True, True))

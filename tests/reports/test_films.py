@@ -13,16 +13,16 @@ from gymnasium.wrappers import RecordVideo
 from stable_baselines3.common.vec_env import DummyVecEnv, VecVideoRecorder
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.envs.rendering import Renderer
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
+from dynaforge.sim import SimScene
 from dynaforge.sim.spec import asset_path
 
 
 @pytest.fixture
 def blank(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing: what is counted here is when pictures are taken."""
-    monkeypatch.setattr(Renderer, "image", lambda self: np.zeros((4, 6, 3), np.uint8))
+    monkeypatch.setattr(SimScene, "picture", lambda self, camera: np.zeros((4, 6, 3), np.uint8))
 
 
 def run(env: gym.Env[Any, Any], policy: Any, *, seed: int = 1, render: bool = False) -> dict[str, Any]:

@@ -106,10 +106,10 @@ def test_every_link_is_drawn_where_the_episode_had_it(data: Path) -> None:
     recorder.close()
     assert {name for name, _ in scene.meshes} == {"robot", "table", "can"}
     for step in (0, len(episode) - 1):
-        np.testing.assert_allclose(scene.poses["can", -1][step].position, episode.steps["object/can/position"][step])
-    low, high = scene.meshes["can", -1].bounds
+        np.testing.assert_allclose(scene.poses["can", "can"][step].position, episode.steps["object/can/position"][step])
+    low, high = scene.meshes["can", "can"].bounds
     np.testing.assert_allclose(high - low, (0.066, 0.066, 0.12), atol=2e-3)
-    left, right = (scene.poses["robot", link] for link in (9, 10))
+    left, right = (scene.poses["robot", f"panda_{side}finger"] for side in ("left", "right"))
     apart = np.linalg.norm([a.position - b.position for a, b in zip(left, right, strict=True)], axis=1)
     np.testing.assert_allclose(apart, episode.steps["width"], atol=2e-3)
 

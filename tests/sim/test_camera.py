@@ -7,7 +7,7 @@ import pytest
 
 from dynaforge.geometry import Pose
 from dynaforge.sim import SimScene
-from dynaforge.sim.camera import Camera, see, world_points
+from dynaforge.sim.camera import Camera, world_points
 from dynaforge.tasks import get_task
 
 FRONT = Camera("front", (1.2, -0.5, 0.7), (0.45, 0.0, 0.1), size=(96, 72))
@@ -34,11 +34,9 @@ def test_a_hand_worked_camera() -> None:
 
 @pytest.mark.parametrize("camera", [FRONT, HAND], ids=lambda camera: camera.name)
 def test_depth_gives_points_on_what_is_seen(scene: SimScene, camera: Camera) -> None:
-    state = scene.observe()
-    image = see(scene, camera, state.ee)
+    image = scene.image(camera)
     points, seen = world_points(camera, image)
-    names = list(scene.things)
-    table = points[image.segmentation == names.index("table")]
+    table = points[image.shows("table")]
     assert len(table) > 100
     assert np.abs(table[:, 2]).max() < 0.0001
     assert image.rgb.shape == (*camera.size[::-1], 3)
@@ -49,9 +47,9 @@ def test_points_of_the_object_lie_on_it(scene: SimScene) -> None:
     state = scene.observe()
     can = state.objects["can"].pose.position
     camera = Camera("close", tuple(can + (0.0, -0.4, 0.3)), tuple(can), size=(96, 96))
-    image = see(scene, camera, state.ee)
+    image = scene.image(camera)
     points, _ = world_points(camera, image)
-    mine = points[image.segmentation == list(scene.things).index("can")]
+    mine = points[image.shows("can")]
     assert len(mine) > 200
     assert np.linalg.norm(mine - can, axis=1).max() < 0.075
     assert mine[:, 2].min() > -0.003
@@ -73,3 +71,14 @@ def test_a_camera_goes_through_json() -> None:
 def test_impossible_cameras_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="needs a size"):
         Camera("bad", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), **wrong)
+
+
+def test_a_film_shows_what_a_dataset_does_and_shadows(scene: SimScene) -> None:
+    image, picture = scene.image(FRONT), scene.picture(FRONT)
+    assert picture.shape == image.rgb.shape
+    darker = (picture < image.rgb).any(axis=-1)
+    assert (picture <= image.rgb).mean() > 0.99
+    assert 0.001 < darker.mean() < 0.5
+    assert image.shows("robot").any()
+    with pytest.raises(ValueError, match="bowl"):
+        image.shows("bowl")

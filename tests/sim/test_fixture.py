@@ -115,9 +115,9 @@ def test_a_condition_picks_the_variant_and_the_others_wait(spec: SceneSpec) -> N
     for variant in (0, 1, 0):
         scene = SimScene(replace(spec, launch=lambda _, v=variant: start(variant=v)))
         scene.reset(CONDITION)
-        fixture = scene.fixtures["slider"]
+        fixture = scene._bullet.fixtures["slider"]
         assert fixture.body == fixture.variants[variant]
-        heights = [scene.client.getBasePositionAndOrientation(body)[0][2] for body in fixture.variants]
+        heights = [scene._bullet.client.getBasePositionAndOrientation(body)[0][2] for body in fixture.variants]
         assert [height < 1.0 for height in heights] == [k == variant for k in (0, 1)]
         scene.close()
 

@@ -30,6 +30,12 @@ def bits(state: SceneState) -> bytes:
     return b"".join(array.tobytes() for array in (*arrays, body.velocity, body.angular_velocity))
 
 
+def mass_and_inertia(scene: SimScene) -> tuple[float, tuple[float, ...]]:
+    bullet = scene._bullet
+    mass, _, inertia = bullet.client.getDynamicsInfo(bullet.bodies["can"], -1)[:3]
+    return mass, inertia
+
+
 def test_reset_is_the_world_at_time_zero(scene: SimScene) -> None:
     state = scene.reset(CONDITION)
     launch = TASK.scene.launch(CONDITION)["can"]
@@ -46,7 +52,7 @@ def test_reset_is_the_world_at_time_zero(scene: SimScene) -> None:
 
 def test_the_mass_of_the_condition_reaches_physics_and_the_inertia_scales_with_it(scene: SimScene) -> None:
     scene.reset(CONDITION)
-    mass, _, inertia = scene.client.getDynamicsInfo(scene.body_ids["can"], -1)[:3]
+    mass, inertia = mass_and_inertia(scene)
     assert mass == pytest.approx(CONDITION.values["mass"])
     np.testing.assert_allclose(inertia, np.array((0.000295, 0.000295, 0.000109)) / 0.2 * mass)
 
@@ -82,9 +88,9 @@ def test_no_finger_is_faster_than_the_hand_in_any_substep() -> None:
 
     def measured_step() -> None:
         step()
-        fingers = scene.client.getJointStates(scene.robot_id, scene._fingers)
-        positions.append([finger[0] for finger in fingers])
-        speeds.extend(abs(finger[1]) for finger in fingers)
+        position, speed = scene.fingers()
+        positions.append(position.tolist())
+        speeds.extend(np.abs(speed).tolist())
 
     scene._step_physics = measured_step
     scene.reset(CONDITION)
@@ -116,7 +122,7 @@ def test_a_closing_hand_needs_the_time_that_its_speed_limit_gives(scene: SimScen
 def test_a_free_body_never_gains_speed_or_energy(scene: SimScene, stratum: int) -> None:
     condition = TASK.conditions.draw(np.random.default_rng(stratum), stratum, 8)
     state = scene.reset(condition)
-    mass, _, inertia = scene.client.getDynamicsInfo(scene.body_ids["can"], -1)[:3]
+    mass, inertia = mass_and_inertia(scene)
 
     def energy(state: SceneState) -> float:
         body = state.objects["can"]
@@ -225,3 +231,23 @@ def test_a_scene_stays_as_it_is_when_another_one_is_used_or_closed(scene: SimSce
     assert trace(other) == alone
     other.close()
     assert trace(None) == alone
+
+
+def test_a_scene_shows_nothing_of_the_engine(scene: SimScene) -> None:
+    assert {name for name in vars(scene) if not name.startswith("_")} == {"spec", "robot", "names"}
+    assert scene.names == ("robot", "table", "can")
+    assert set(scene.overlaps()) == {("robot", "table"), ("robot", "can"), ("table", "can")}
+    assert {name for name, _ in scene.link_poses()} == set(scene.names)
+    assert scene.link_poses()["robot", "panda_grasptarget"].position == pytest.approx(scene.observe().ee.position)
+
+
+def test_fingers_are_measured_one_by_one(scene: SimScene) -> None:
+    scene.reset(CONDITION)
+    closing = [scene.step(scene.robot.q_ready, 0.0) for _ in range(10)][-1]
+    position, speed = scene.fingers()
+    assert position.sum() == closing.width
+    assert (speed < -0.03).all()
+
+
+def test_a_scene_is_shown_on_one_line(scene: SimScene) -> None:
+    assert repr(scene.reset(CONDITION)) == "SceneState(0.000 s, can, hand 80 mm open)"

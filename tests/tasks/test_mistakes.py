@@ -218,7 +218,10 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "nothing moves": (lambda: scene(bodies=(), fixtures=(bowl(driven=()),)), ("nothing in the scene moves",)),
     "urdf": (lambda: BodySpec("can", "can/cann.urdf"), ("Body 'can'", "can/cann.urdf", "Did you mean 'can/can.urdf'?")),
     "own urdf": (lambda: BodySpec("can", "/nowhere/can.urdf"), ("Body 'can'", "/nowhere/can.urdf")),
-    "friction": (lambda: BodySpec("can", "can/can.urdf", -0.1), ("Body 'can': lateral_friction is -0.1",)),
+    "friction": (
+        lambda: BodySpec("can", "can/can.urdf", lateral_friction=-0.1),
+        ("Body 'can': lateral_friction is -0.1",),
+    ),
     "body name": (lambda: BodySpec("my can", "can/can.urdf"), ("BodySpec: name is 'my can'", "'my_can' would do")),
     "path": (lambda: BodySpec("../can", "can/can.urdf"), ("BodySpec: name is '../can'",)),
     "table": (lambda: BodySpec("table", "can/can.urdf"), ("BodySpec: name is 'table', which is taken",)),

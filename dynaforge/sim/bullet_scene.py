@@ -1,0 +1,157 @@
+"""A scene as Bullet knows it, by index: indices stay in this package, and `SimScene` answers in names."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asset, plain_urdf, stiffen
+from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.camera import Visuals
+from dynaforge.sim.fixture import Fixture
+from dynaforge.sim.robot import RobotDescription
+from dynaforge.sim.spec import BodySpec, SceneSpec
+
+MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
+PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BulletRobot:
+    """The robot in Bullet.
+
+    Attributes:
+        body: Its index.
+        arm, fingers: Its joints, in the order of its description.
+        ee: The link whose frame is the end-effector frame.
+    """
+
+    body: int
+    arm: list[int]
+    fingers: list[int]
+    ee: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeBody:
+    """A free body in Bullet.
+
+    Attributes:
+        body: Its index.
+        joints: Its joints by name, which turn without motors.
+        inertia_per_kg: Principal moments of inertia of its root link, m^2.
+    """
+
+    body: int
+    joints: dict[str, int]
+    inertia_per_kg: list[float]
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BulletScene:
+    """All that `load_scene` loaded.
+
+    Attributes:
+        client: The physics client; every index is one of its own.
+        robot: The robot.
+        table: The table's body.
+        free: Free bodies by name.
+        fixtures: Fixtures by name.
+    """
+
+    client: Any
+    robot: BulletRobot
+    table: int
+    free: dict[str, FreeBody]
+    fixtures: dict[str, Fixture]
+
+    @property
+    def bodies(self) -> dict[str, int]:
+        """Everything that stands in the scene now, by name: robot, table, free bodies, fixtures in their variant."""
+        free = {name: free.body for name, free in self.free.items()}
+        fixtures = {name: fixture.body for name, fixture in self.fixtures.items()}
+        return {"robot": self.robot.body, "table": self.table, **free, **fixtures}
+
+
+def load_scene(spec: SceneSpec, robot: RobotDescription, *, visuals: Visuals, gui: bool) -> BulletScene:
+    """Open a physics world and load robot, table, bodies and fixtures, in this order.
+
+    The order is part of the physics, because the solver processes contacts in it.
+
+    Args:
+        spec: What the scene holds.
+        robot: Geometry and limits.
+        visuals: Which visual shapes, as `SimScene` takes it.
+        gui: Open Bullet's window.
+    """
+    client = connect(gui=gui)
+    # Without this flag Bullet turns a URDF cylinder into a 32-gon, which loses 0.2 m/s a second when it rolls.
+    flags = p.URDF_USE_IMPLICIT_CYLINDER
+    if not (visuals or gui):
+        flags |= p.URDF_IGNORE_VISUAL_SHAPES
+    client.setPhysicsEngineParameter(
+        fixedTimeStep=spec.physics_dt,
+        numSolverIterations=spec.solver_iterations,
+        deterministicOverlappingPairs=1,
+        enableFileCaching=0,
+    )
+    client.setGravity(0, 0, -9.81)
+    with plain_urdf(robot.urdf) if visuals == "plain" else contextlib.nullcontext(robot.urdf) as urdf:
+        body = client.loadURDF(str(urdf), useFixedBase=True, flags=flags)
+    return BulletScene(
+        client=client,
+        robot=_prepare_robot(client, body, robot, finger_friction=spec.finger_friction),
+        table=_load_table(client, flags=flags),
+        free={body.name: _load_body(client, body, k, flags=flags) for k, body in enumerate(spec.bodies)},
+        fixtures={
+            fixture.name: Fixture(client, fixture, flags=flags, waiting_at=(0.0, -1.0 - k, PARKING_HEIGHT))
+            for k, fixture in enumerate(spec.fixtures)
+        },
+    )
+
+
+def _prepare_robot(client: Any, body: int, robot: RobotDescription, *, finger_friction: float) -> BulletRobot:
+    joints, links = joints_and_links(client, body)
+    arm = [joints[name] for name in robot.arm_joints]
+    fingers = [joints[name] for name in robot.finger_joints]
+    for joint, q in zip(arm, robot.q_ready.tolist(), strict=True):
+        client.resetJointState(body, joint, q)
+    for joint in fingers:
+        client.resetJointState(body, joint, robot.width_max / 2)
+        client.changeDynamics(body, joint, lateralFriction=finger_friction, spinningFriction=0.02, rollingFriction=0.0)
+    stiffen(client, body)
+    # PyBullet ignores <mimic>: without this gear the fingers drift apart under load.
+    left, right = fingers
+    gear = client.createConstraint(body, left, body, right, p.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3)
+    client.changeConstraint(gear, gearRatio=-1, erp=0.1, maxForce=50)
+    client.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING)
+    return BulletRobot(body, arm, fingers, links[robot.ee_link])
+
+
+def _load_table(client: Any, *, flags: int) -> int:
+    table = load_asset(client, "table/table.urdf", flags=flags, fixed=True, position=(0.0, 0.0, 0.0))
+    client.changeDynamics(table, -1, lateralFriction=0.8, rollingFriction=0.0, spinningFriction=0.0)
+    stiffen(client, table)
+    return table
+
+
+def _load_body(client: Any, spec: BodySpec, k: int, *, flags: int) -> FreeBody:
+    body = load_asset(client, spec.urdf, flags=flags, fixed=False, position=(0.0, k, PARKING_HEIGHT))
+    joints, links = joints_and_links(client, body)
+    for link in links.values():
+        free_link(
+            client,
+            body,
+            link,
+            lateral_friction=spec.lateral_friction,
+            rolling_friction=spec.rolling_friction,
+            spinning_friction=spec.spinning_friction,
+        )
+    for joint in joints.values():  # Bullet gives every joint a motor that holds it, and 100 rad/s at most
+        client.changeDynamics(body, joint, maxJointVelocity=MAX_JOINT_SPEED)
+        client.setJointMotorControl2(body, joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0)
+    mass, _, inertia = client.getDynamicsInfo(body, -1)[:3]
+    return FreeBody(body, joints, (np.array(inertia) / mass).tolist())
