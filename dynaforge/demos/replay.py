@@ -10,8 +10,9 @@ import numpy as np
 
 from dynaforge.demos.episode import Episode
 from dynaforge.sim import SceneState, SimScene
+from dynaforge.sim.camera import Visuals
 from dynaforge.tasks import Task
-from dynaforge.tasks.view import PhaseView, heading_frames
+from dynaforge.tasks.success import SuccessJudge
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Replayer:
         visuals: Load visual shapes, as `SimScene` takes them; physics is the same.
     """
 
-    def __init__(self, task: Task, *, visuals: bool | str = False) -> None:
+    def __init__(self, task: Task, *, visuals: Visuals = False) -> None:
         self.task = task
         self.scene = SimScene(task.scene, visuals=visuals)
 
@@ -65,13 +66,11 @@ class Replayer:
         """
         states = self.states(episode)
         start = next(states)
-        frames, held, divergence = heading_frames(start, None), 0, first_difference(episode, 0, start)
-        last = self.task.phases[-1]
+        judge, success, divergence = SuccessJudge(self.task, start), False, first_difference(episode, 0, start)
         for step, state in enumerate(states, 1):
             divergence = divergence or first_difference(episode, step, state)
-            frames = heading_frames(state, frames)
-            held = held + 1 if last.done(PhaseView(state, start, start, frames, frames), state.ee) else 0
-        return Replay(divergence, last.is_held(held, self.task.scene.control_dt))
+            success = judge.push(state)
+        return Replay(divergence, success)
 
     def states(self, episode: Episode) -> Iterator[SceneState]:
         """Simulate an episode again: yields the state at the beginning of each step and the one after the last.
@@ -125,8 +124,6 @@ def _measured(state: SceneState) -> Iterator[tuple[str, Any]]:
     yield "ee_quat_wxyz", state.ee.quat_wxyz
     yield "width", state.width
     for name, body in state.objects.items():
+        columns = body.columns
         for kind in ("object", "fixture"):
-            yield f"{kind}/{name}/position", body.pose.position
-            yield f"{kind}/{name}/quat_wxyz", body.pose.quat_wxyz
-            yield f"{kind}/{name}/velocity", body.velocity
-            yield f"{kind}/{name}/angular_velocity", body.angular_velocity
+            yield from ((f"{kind}/{name}/{column}", value) for column, value in columns.items())

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaforge.sim.state import BODY_COLUMNS
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -34,10 +36,8 @@ class Field:
 
 
 _BODY = {
-    "position": Field((3,), "float64", "m", "world", "Origin of the body."),
-    "quat_wxyz": Field((4,), "float64", "-", "world", "Orientation of the body, unit quaternion."),
-    "velocity": Field((3,), "float64", "m/s", "world", "Linear velocity of its centre of mass."),
-    "angular_velocity": Field((3,), "float64", "rad/s", "world", "Angular velocity."),
+    name: Field((column.size,), "float64", column.unit, "world", column.meaning)
+    for name, column in BODY_COLUMNS.items()
 }
 
 SCHEMA: Mapping[str, Field] = MappingProxyType(

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaforge.geometry import Array, JointTrajectory, Pose
+from dynaforge.geometry import Array, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, SceneState
 from dynaforge.tasks import Mode, Phase, Task
 from dynaforge.tasks.predicates import Predicate
+from dynaforge.tasks.success import Hold
 from dynaforge.tasks.view import PhaseView, heading_frames
 from dynaforge.tasks.words import aim, judge
 
@@ -22,6 +23,8 @@ class JointSample:
     q: Array
     dq: Array
     ddq: Array
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +87,7 @@ class PhaseExecutor:
         self._planner = planner
         self._dt = control_dt
         self._lead_time = lead_time
-        self._steps = self._held = 0
+        self._steps = 0
 
     def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
         """Enter the first phase."""
@@ -109,8 +112,7 @@ class PhaseExecutor:
         for reason, impossible in (*phase.fails, *self.task.endings):
             if self._holds(reason, impossible, view, self.action.target):
                 return self._fail(reason)
-        self._held = self._held + 1 if self._holds("done", phase.done, view, self.action.target) else 0
-        if phase.is_held(self._held, self._dt):
+        if self._hold.push(self._holds("done", phase.done, view, self.action.target)):
             if phase.takes_hold:
                 self._grasp = state
             if self.index + 1 == len(self.task.phases):
@@ -145,7 +147,8 @@ class PhaseExecutor:
     def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
         self.index = index
         self._place = f"Phase {self.phase.name!r}"  # what a mistake in a word of it is told with
-        self._steps = self._held = 0
+        self._steps = 0
+        self._hold = Hold(self.phase, control_dt=self._dt)
         self._entry, self._entry_frames = state, self._frames
         self._trajectory: JointTrajectory | None = None
         self._frozen = False

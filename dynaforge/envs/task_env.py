@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 from dynaforge.envs.base import WorldEnv
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim import SceneState
+from dynaforge.sim.camera import Visuals
+from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
-from dynaforge.tasks.view import PhaseView, heading_frames
+from dynaforge.tasks.success import SuccessJudge
 
 Observation = NDArray[np.float64]
+_PER_BODY = (*((name, column.size) for name, column in BODY_COLUMNS.items()), ("touching", 2))
 
 
 class TaskEnv(WorldEnv):
@@ -48,7 +51,7 @@ class TaskEnv(WorldEnv):
         rotation: str = "rotvec",
         elbow: bool = False,
         render_mode: str | None = None,
-        visuals: bool | str = False,
+        visuals: Visuals = False,
     ) -> None:
         self.action_layout = ActionLayout(action_mode, rotation, elbow)
         super().__init__(task, render_mode, visuals=visuals)
@@ -62,15 +65,9 @@ class TaskEnv(WorldEnv):
             ("ee_position", 3),
             ("ee_quat_wxyz", 4),
             ("width", 1),
-            *(
-                (f"{body}/{name}", size)
-                for body in self.task.scene.tracked
-                for name, size in (
-                    ("position", 3), ("quat_wxyz", 4), ("velocity", 3), ("angular_velocity", 3), ("touching", 2),
-                )
-            ),
+            *((f"{body}/{name}", size) for body in self.task.scene.tracked for name, size in _PER_BODY),
             ("time_left", 1),
-        )  # fmt: skip
+        )
         size = sum(size for _, size in self.layout)
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (size,), np.float64)
 
@@ -80,9 +77,8 @@ class TaskEnv(WorldEnv):
         """Start an episode; `options={"condition": ...}` fixes it."""
         super().reset(seed=seed)
         self._condition = self._chosen(options)
-        self._start = self._state = self.world.reset(self._condition)
-        self._frames = heading_frames(self._state, None)
-        self._held = 0
+        self._state = self.world.reset(self._condition)
+        self._success = SuccessJudge(self.task, self._state)
         return self._observation(), {"condition_id": self._condition.id}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -97,7 +93,6 @@ class TaskEnv(WorldEnv):
         values = self._checked(action)
         values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
         self._state = self._move(values)
-        self._frames = heading_frames(self._state, self._frames)
         success, failure = self._judge()
         info: dict[str, Any] = {"is_success": success}
         if success or failure:
@@ -120,13 +115,12 @@ class TaskEnv(WorldEnv):
 
     def _judge(self) -> tuple[bool, str]:
         """Tell whether the task's success has held long enough, and the reason of a failure."""
-        state, last = self._state, self.task.phases[-1]
-        view = PhaseView(state, self._start, self._start, self._frames, self._frames)
+        state = self._state
+        success = self._success.push(state)
         for reason, holds in self.task.endings:
-            if holds(view, state.ee):
+            if holds(self._success.view, state.ee):
                 return False, reason
-        self._held = self._held + 1 if last.done(view, state.ee) else 0
-        if last.is_held(self._held, self.task.scene.control_dt):
+        if success:
             return True, ""
         return False, "timeout" if state.time >= self.task.time_limit - 1e-9 else ""
 
@@ -138,8 +132,7 @@ def observe_flat(state: SceneState, task: Task) -> Array:
     """Lay the privileged state out flat, SI units, in the order of `TaskEnv.layout`."""
     parts: list[Any] = [state.q, state.dq, state.ee.position, state.ee.quat_wxyz, (state.width,)]
     for name in task.scene.tracked:
-        body = state.objects[name]
-        parts += [body.pose.position, body.pose.quat_wxyz, body.velocity, body.angular_velocity]
+        parts += state.objects[name].columns.values()
         parts.append(tuple(map(float, state.touching[name])))
     parts.append((1.0 - state.time / task.time_limit,))
     return np.concatenate(parts)

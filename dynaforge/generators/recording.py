@@ -12,6 +12,7 @@ from dynaforge.envs.world import ControlStep
 from dynaforge.geometry import Array, Pose
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import SceneState
+from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Task
 
 
@@ -76,14 +77,9 @@ def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
     }
     free = {body.name for body in task.scene.bodies}
     for name in states[0].objects:
-        bodies = [s.objects[name] for s in states]
-        kind = f"{'object' if name in free else 'fixture'}/{name}"
-        columns |= {
-            f"{kind}/position": [b.pose.position for b in bodies],
-            f"{kind}/quat_wxyz": [b.pose.quat_wxyz for b in bodies],
-            f"{kind}/velocity": [b.velocity for b in bodies],
-            f"{kind}/angular_velocity": [b.angular_velocity for b in bodies],
-        }
+        kind = "object" if name in free else "fixture"
+        bodies = [s.objects[name].columns for s in states]
+        columns |= {f"{kind}/{name}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
     return columns
 
 

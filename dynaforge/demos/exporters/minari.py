@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Floats, Frames, env_of
 from dynaforge.demos.replay import Replayer
-from dynaforge.geometry import Array
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import JOINTS, without_jumps
@@ -138,12 +137,8 @@ def _rows(frames: Frames) -> Floats:
 
 def _row(state: SceneState, frames: Frames, before: Floats) -> Floats:
     """Lay a state out as the rows of `state` and `object_state`; quaternions keep the sign they had before."""
-    objects: dict[str, Array] = {}
-    for name, body in state.objects.items():
-        objects |= {
-            f"{name}_position": body.pose.position, f"{name}_quat_wxyz": body.pose.quat_wxyz,
-            f"{name}_velocity": body.velocity, f"{name}_angular_velocity": body.angular_velocity,
-        }  # fmt: skip
+    bodies = state.objects.items()
+    objects = {f"{name}_{column}": value for name, body in bodies for column, value in body.columns.items()}
     parts = [("", state.ee.position), ("_quat_wxyz", state.ee.quat_wxyz), ("", np.array([state.width])), ("", state.q)]
     parts += [(name, objects[name]) for name in frames.objects if frames.privileged]
     row, at = [], 0
