@@ -6,13 +6,13 @@ import numpy as np
 import torch as th
 from numpy.typing import NDArray
 
-from dynaforge.algos.options import ADVANTAGE_SCALES, GROUP_FILTERS, check_choice
+from dynaforge.algos.options import AdvantageScale, GroupFilter, check_choice
 from dynaforge.geometry import Array
 
 RETURN_TOLERANCE = 1e-9  # Differences below this are rounding of reward sums, not outcomes.
 
 
-def group_advantages(returns: Array, *, scale: str = "group", eps: float = 1e-4) -> Array:
+def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: float = 1e-4) -> Array:
     """Compare each rollout with the other rollouts of its condition.
 
     Eq. 7. The paper leaves the standard deviation open; this is the sample one (ddof=1), as common GRPO
@@ -30,21 +30,26 @@ def group_advantages(returns: Array, *, scale: str = "group", eps: float = 1e-4)
     Raises:
         ValueError: K < 2, since a lone rollout has nothing to be compared with; or an unknown scale.
     """
-    check_choice("scale_advantage", scale, ADVANTAGE_SCALES)
+    check_choice("scale_advantage", scale)
     if returns.ndim != 2 or returns.shape[1] < 2:
         raise ValueError(f"Returns must have shape (N, K) with K >= 2 rollouts a group; given {returns.shape}.")
+    # Equal returns differ from their mean by rounding alone, which a deviation near zero would blow up.
     equal = np.ptp(returns, axis=1, keepdims=True) <= RETURN_TOLERANCE
+    # Critic-free: K rollouts of one condition estimate its value by their mean. That needs no network, and unlike a
+    # learned value it cannot lag behind the policy.
     centred = np.where(equal, 0.0, returns - returns.mean(axis=1, keepdims=True))
     if scale == "none" or centred.size == 0:
         return centred
+    # ddof=1: K returns are a sample of what the policy earns. Dividing by K would underestimate their spread, by 6 %
+    # at K = 8, and so enlarge every advantage of a small group.
     deviation = centred.std(axis=1, ddof=1, keepdims=True) if scale == "group" else centred.std(ddof=1)
     return np.asarray(centred / (deviation + eps))
 
 
 def frontier_mask(
-    success: NDArray[np.bool_], returns: Array, *, group_filter: str = "mixed_success"
+    success: NDArray[np.bool_], returns: Array, *, group_filter: GroupFilter = "mixed_success"
 ) -> NDArray[np.bool_]:
-    """Say which groups take part in the update.
+    """Return which groups take part in the update.
 
     Eq. 8: keep a group when some of its rollouts succeeded and some failed. The filter reads success, not
     return: an all-failure group with unequal progress is dropped.
@@ -61,7 +66,7 @@ def frontier_mask(
     Raises:
         ValueError: Unknown filter.
     """
-    check_choice("group_filter", group_filter, GROUP_FILTERS)
+    check_choice("group_filter", group_filter)
     if group_filter == "none":
         return np.ones(len(returns), dtype=bool)
     if group_filter == "mixed_return":
@@ -72,7 +77,7 @@ def frontier_mask(
 def clipped_surrogate(
     log_prob: th.Tensor, old_log_prob: th.Tensor, advantages: th.Tensor, *, clip_low: float, clip_high: float
 ) -> th.Tensor:
-    """Loss of each transition: -min(rho A, clip(rho, 1 - clip_low, 1 + clip_high) A).
+    """Return the loss of each transition: -min(rho A, clip(rho, 1 - clip_low, 1 + clip_high) A).
 
     Eq. 9 before the mean. The paper takes DAPO's asymmetric pair, 0.20 and 0.28: the wider upper side lets a
     rare good action gain probability faster.
@@ -87,6 +92,25 @@ def clipped_surrogate(
     Returns:
         Losses, shape (n,), not yet averaged.
     """
+    # Importance weight rho: the actions were sampled from the old policy, the gradient is that of the new one.
     ratio = th.exp(log_prob - old_log_prob)
     clipped = ratio.clamp(1.0 - clip_low, 1.0 + clip_high)
+    # The smaller of the two: going beyond the range in the advantage's direction brings nothing, and so has no
+    # gradient, whereas a ratio that went the wrong way keeps its full gradient back.
     return -th.minimum(ratio * advantages, clipped * advantages)
+
+
+def estimated_kl(log_prob: th.Tensor, old_log_prob: th.Tensor) -> th.Tensor:
+    """Estimate KL(old || new) at each transition from the action taken there.
+
+    Args:
+        log_prob: Under the policy being trained, shape (n,).
+        old_log_prob: Under the policy that acted, shape (n,).
+
+    Returns:
+        Estimates, shape (n,), each at least 0.
+    """
+    # Schulman's k3, (rho - 1) - log rho with actions of the old policy. Like -log rho it is unbiased, since rho has
+    # mean 1, but it varies less and is never negative: a single batch cannot show a divergence below 0.
+    log_ratio = log_prob - old_log_prob
+    return (log_ratio.exp() - 1.0) - log_ratio

@@ -1,11 +1,11 @@
-"""Whole episodes of an update, in an order that no scheduling of envs can change."""
+"""The transitions of an update's episodes, in an order that does not depend on which env ran what."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch as th
@@ -15,10 +15,13 @@ from stable_baselines3.common.buffers import BaseBuffer
 from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.common.vec_env import VecNormalize
 
+from dynaforge.algos.options import LossAggregation
 from dynaforge.geometry import Array, one_line
+from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.vec_wrappers import Observations, take_rows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KeptTransitions:
     """The transitions that enter the loss (the set I_F of Eq. 9), as tensors.
 
@@ -46,37 +49,60 @@ class KeptTransitions:
         obs = self.observations
         taken = {key: part[index] for key, part in obs.items()} if isinstance(obs, dict) else obs[index]
         return KeptTransitions(
-            taken, self.actions[index], self.log_probs[index], self.advantages[index], self.weights[index]
+            observations=taken,
+            actions=self.actions[index],
+            log_probs=self.log_probs[index],
+            advantages=self.advantages[index],
+            weights=self.weights[index],
         )
 
     def minibatches(self, parts: int, rng: np.random.Generator) -> Iterator[KeptTransitions]:
-        """Shuffle and split into so many equal parts; a single part stays in order.
-
-        Equal parts (sizes differ by one at most) leave no tiny rest whose step would be mostly noise.
-        """
+        """Shuffle and split into this many parts; a single part stays in order."""
         n = len(self)
         if parts == 1:
             yield self
             return
         shuffled = self.rows(th.as_tensor(rng.permutation(n), device=self.log_probs.device))
+        # Sizes differ by one at most: a small remainder, as fixed sizes leave, would be a step of mostly noise.
         edges = np.linspace(0, n, parts + 1).round().astype(int).tolist()
         for start, stop in pairwise(edges):
             yield shuffled.rows(slice(start, stop))
 
 
-class GroupRolloutBuffer(BaseBuffer):
-    """Transitions of N*K episodes of any lengths.
+class _Step(NamedTuple):
+    """One step of several episodes, a row each: what `add` takes, with the jobs as numbers."""
 
-    Steps of all running episodes are appended together, as they come; `finish` puts them in order of job and time.
-    The constructor is that of SB3's `RolloutBuffer`, since the base algorithm builds it so; discount, lambda and
-    `n_envs` play no part. `buffer_size` counts episodes and reserves nothing.
-    """
-
-    observations: NDArray[Any] | dict[str, NDArray[Any]]
+    observations: Observations
     actions: NDArray[Any]
     log_probs: NDArray[np.float32]
     mask: NDArray[np.bool_]
-    jobs: NDArray[np.int64]
+    groups: NDArray[np.int64]
+    rollouts: NDArray[np.int64]
+
+
+class GroupRolloutBuffer(BaseBuffer):
+    """Transitions of the episodes of an update, which may have any lengths.
+
+    The steps of all running episodes are appended together, as they come; `finish` sorts them by group, rollout and
+    time. The constructor is that of SB3's `RolloutBuffer`, because the base algorithm calls it so, but discount, lambda
+    and `n_envs` play no part: an episode has one return, given at its end and not discounted. `buffer_size` is the
+    number of episodes, and no memory is reserved for it.
+
+    Attributes:
+        observations: What the policy saw, once finished, shape (n, ...), or a dict of such.
+        actions: What it sampled, n rows.
+        log_probs: Of those actions, shape (n,).
+        mask: Whether the action had an effect, shape (n,).
+        groups: Index of the transition's group, shape (n,).
+        rollouts: Index of its rollout within the group, shape (n,).
+    """
+
+    observations: Observations
+    actions: NDArray[Any]
+    log_probs: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    groups: NDArray[np.int64]
+    rollouts: NDArray[np.int64]
 
     def __init__(
         self,
@@ -94,9 +120,16 @@ class GroupRolloutBuffer(BaseBuffer):
     def reset(self) -> None:
         """Forget everything."""
         super().reset()
-        self._steps: list[tuple[Any, NDArray[Any], NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]] = []
+        self._steps: list[_Step] = []
 
-    def add(self, obs: Any, actions: NDArray[Any], log_probs: Any, mask: NDArray[np.bool_], jobs: Any) -> None:
+    def add(
+        self,
+        obs: Observations,
+        actions: NDArray[Any],
+        log_probs: NDArray[np.float32],
+        mask: NDArray[np.bool_],
+        jobs: Sequence[Job],
+    ) -> None:
         """Append one step of several episodes.
 
         Args:
@@ -104,9 +137,11 @@ class GroupRolloutBuffer(BaseBuffer):
             actions: What it sampled, before clipping to the action space, n rows.
             log_probs: Of those actions, shape (n,).
             mask: Whether the action had an effect ("residual_mask"), shape (n,).
-            jobs: Index of each row's job, shape (n,).
+            jobs: Whose step each row is, n jobs.
         """
-        self._steps.append((obs, actions, log_probs, mask, jobs))
+        groups = np.array([job.group.index for job in jobs])
+        rollouts = np.array([job.rollout for job in jobs])
+        self._steps.append(_Step(obs, actions, log_probs, mask, groups, rollouts))
         self.pos += len(jobs)
 
     def size(self) -> int:
@@ -114,47 +149,49 @@ class GroupRolloutBuffer(BaseBuffer):
         return self.pos
 
     def finish(self) -> None:
-        """Join the steps, sorted by job and, within a job, by time."""
+        """Join the steps, sorted by group, rollout and time."""
         if not self._steps:
             raise ValueError("The buffer is empty: no episode was collected.")
-        obs, actions, log_probs, mask, jobs = zip(*self._steps, strict=True)
-        joined = np.concatenate(jobs)
-        order = np.argsort(joined, kind="stable")
-        if isinstance(obs[0], dict):
-            self.observations = {key: np.concatenate([step[key] for step in obs])[order] for key in obs[0]}
-        else:
-            self.observations = np.concatenate(obs)[order]
-        self.actions = np.concatenate(actions)[order]
-        self.log_probs = np.concatenate(log_probs)[order]
-        self.mask = np.concatenate(mask)[order]
-        self.jobs = joined[order]
+        joined = _Step(*(_join(parts) for parts in zip(*self._steps, strict=True)))
+        # The sort is stable, so the steps of an episode stay in the order of time.
+        order = np.lexsort((joined.rollouts, joined.groups))
+        self.observations = take_rows(joined.observations, order)
+        self.actions, self.log_probs = joined.actions[order], joined.log_probs[order]
+        self.mask, self.groups, self.rollouts = joined.mask[order], joined.groups[order], joined.rollouts[order]
         self.full = True
         self._steps = []
 
-    def keep(self, groups: NDArray[np.bool_], advantages: Array, *, loss_agg: str = "step") -> KeptTransitions:
-        """Select the gated transitions of the kept groups and move them to the device, once an update.
+    def keep(
+        self, groups: NDArray[np.bool_], advantages: Array, *, loss_agg: LossAggregation = "step"
+    ) -> KeptTransitions:
+        """Select the gated transitions of the kept groups, the set I_F of Eq. 9, and move them to the device.
 
         Args:
             groups: Groups to keep, shape (N,).
             advantages: Of each episode, shape (N, K).
             loss_agg: "step" weighs all transitions alike, "episode" all episodes.
         """
-        group_size = advantages.shape[1]
-        chosen = np.flatnonzero(self.mask & groups[self.jobs // group_size])
-        jobs = self.jobs[chosen]
-        weights = np.ones(len(jobs))
-        if loss_agg == "episode" and len(jobs):
-            lengths = np.bincount(jobs, minlength=advantages.size)
-            weights = len(jobs) / (np.count_nonzero(lengths) * lengths[jobs])
-        obs = self.observations
-        taken = {k: self._tensor(v[chosen]) for k, v in obs.items()} if isinstance(obs, dict) else obs[chosen]
+        # Where the gate is closed the action has no effect on the return: its gradient would be noise, and a mean
+        # that counted such steps would shrink with the length of the gated-off phases.
+        chosen = np.flatnonzero(self.mask & groups[self.groups])
+        episode = self.groups[chosen], self.rollouts[chosen]
+        weights = np.ones(len(chosen))
+        if loss_agg == "episode":
+            # Shares that sum to one within each episode, scaled to a mean of 1 over all transitions.
+            lengths = np.zeros(advantages.shape, dtype=np.int64)
+            np.add.at(lengths, episode, 1)
+            weights = len(chosen) / (np.count_nonzero(lengths) * lengths[episode])
+        obs = take_rows(self.observations, chosen)
         actions = self._tensor(self.actions[chosen])
         discrete = isinstance(self.action_space, spaces.Discrete)
         return KeptTransitions(
-            observations=taken if isinstance(taken, dict) else self._tensor(taken),
+            observations=(
+                {key: self._tensor(part) for key, part in obs.items()} if isinstance(obs, dict) else self._tensor(obs)
+            ),
             actions=actions.long() if discrete else actions.float().flatten(start_dim=1),
             log_probs=self._tensor(self.log_probs[chosen]),
-            advantages=self._tensor(advantages.reshape(-1)[jobs]),
+            # Every transition of an episode has the episode's advantage: Eq. 6 pays one return, at its end.
+            advantages=self._tensor(advantages[episode]),
             weights=self._tensor(weights),
         )
 
@@ -164,3 +201,10 @@ class GroupRolloutBuffer(BaseBuffer):
 
     def _get_samples(self, batch_inds: NDArray[np.int64], env: VecNormalize | None = None) -> Any:
         raise NotImplementedError("Episodes are read with `keep(...).minibatches(...)`.")
+
+
+def _join(parts: Sequence[Any]) -> Any:
+    """Concatenate arrays, or dicts of arrays key by key."""
+    if isinstance(parts[0], dict):
+        return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    return np.concatenate(parts)

@@ -1,4 +1,4 @@
-"""Checks of what a user passed, worded for the user."""
+"""The options of FrontierGRPO: the values that each may have, and checks with messages for the user."""
 
 from __future__ import annotations
 
@@ -6,16 +6,24 @@ import difflib
 import math
 from collections.abc import Sequence
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, Literal, get_args
 
-GROUP_FILTERS = ("mixed_success", "mixed_return", "none")
-ADVANTAGE_SCALES = ("group", "batch", "none")
-RATE_SCALES = ("none", "failures")
-LOSS_AGGREGATIONS = ("step", "episode")
-TIMESTEP_COUNTS = ("active", "gated", "nominal")
+GroupFilter = Literal["mixed_success", "mixed_return", "none"]
+AdvantageScale = Literal["group", "batch", "none"]
+RateScale = Literal["none", "failures"]
+LossAggregation = Literal["step", "episode"]
+TimestepCount = Literal["active", "gated", "nominal"]
+
+CHOICES = {
+    "group_filter": GroupFilter,
+    "scale_advantage": AdvantageScale,
+    "scale_learning_rate": RateScale,
+    "loss_agg": LossAggregation,
+    "timesteps": TimestepCount,
+}
 LARGEST_SEED = 2**32 - 1  # of numpy's global generator, which Stable-Baselines3 seeds
 
-# Option, least value, why. Those in OPTIONAL may be None, with the meaning given there.
+# Option, smallest value, why. Those in OPTIONAL may also be None.
 WHOLE_NUMBERS = (
     ("group_size", 2, "a lone rollout has nothing to be compared with"),
     ("n_groups", 1, "an update needs a condition"),
@@ -30,12 +38,13 @@ WEIGHTS = ("kl_coef", "anchor_coef")
 OPTIONAL = ("batch_size", "max_episode_steps")
 
 
-def check_choice(name: str, given: object, valid: Sequence[str]) -> None:
-    """Refuse a value that is not among the valid names.
+def check_choice(name: str, given: object) -> None:
+    """Refuse a value that an option of `CHOICES` does not have.
 
     Raises:
         ValueError: Names what was given, the valid names, and the closest of them.
     """
+    valid: Sequence[str] = get_args(CHOICES[name])
     if given in valid:
         return
     close = difflib.get_close_matches(str(given), valid, n=1, cutoff=0.5)
@@ -44,7 +53,13 @@ def check_choice(name: str, given: object, valid: Sequence[str]) -> None:
 
 
 def check_whole(name: str, given: object, least: int, why: str) -> None:
-    """Refuse what is no whole number, or below its least sensible value.
+    """Refuse what is no whole number, or too small.
+
+    Args:
+        name: The option.
+        given: Its value.
+        least: Its smallest value.
+        why: Why it may not be smaller, for the message.
 
     Raises:
         TypeError: No whole number.
@@ -58,6 +73,12 @@ def check_whole(name: str, given: object, least: int, why: str) -> None:
 
 def check_number(name: str, given: object, *, above: float | None = None, finite: bool = True) -> None:
     """Refuse what is no number, NaN, negative, or not above a bound.
+
+    Args:
+        name: The option.
+        given: Its value.
+        above: Bound that it must exceed; None allows 0.
+        finite: Whether infinity is refused.
 
     Raises:
         TypeError: No number.
@@ -74,6 +95,11 @@ def check_number(name: str, given: object, *, above: float | None = None, finite
 def check_schedule(name: str, given: object, *, above: float | None = None) -> None:
     """Refuse what is neither a number in range nor a function of the remaining progress.
 
+    Args:
+        name: The option.
+        given: Its value.
+        above: Bound that a number must exceed; None allows 0.
+
     Raises:
         TypeError: Neither.
         ValueError: A number out of range.
@@ -86,7 +112,12 @@ def check_schedule(name: str, given: object, *, above: float | None = None) -> N
 
 
 def scheduled(name: str, schedule: Any, progress: float) -> float:
-    """Return what a schedule says at this much remaining progress.
+    """Evaluate a schedule.
+
+    Args:
+        name: The option, for the message.
+        schedule: Function of the remaining progress.
+        progress: Remaining progress, from 1 at the start to 0 at the end.
 
     Raises:
         ValueError: NaN, infinity or a negative number.
@@ -115,7 +146,7 @@ def check_seed(seed: object, name: str = "seed") -> None:
 
 
 def check_total_timesteps(given: object) -> None:
-    """Refuse to learn for no time, or for ever.
+    """Refuse to train for no time or without end.
 
     Raises:
         TypeError: No number.
@@ -127,18 +158,28 @@ def check_total_timesteps(given: object) -> None:
         raise ValueError(f"total_timesteps is {given}, but must be a finite number of at least 1.")
 
 
+def check_learn_arguments(total_timesteps: object, log_interval: object) -> None:
+    """Check what `FrontierGRPO.learn` is given.
+
+    Raises:
+        ValueError: `total_timesteps` below 1, NaN or infinite, or `log_interval` below 1.
+        TypeError: Either is no number; `log_interval` may be None.
+    """
+    check_total_timesteps(total_timesteps)
+    if log_interval is not None:
+        check_whole("log_interval", log_interval, 1, "None logs nothing")
+
+
 def check_grpo_options(model: Any) -> None:
-    """Check the options of a FrontierGRPO model, before anything is built from them.
+    """Check the options of a FrontierGRPO model before anything is built from them.
 
     Raises:
         ValueError: Names the option, what was given and what is expected.
-        TypeError: Likewise, for a value of another kind.
+        TypeError: Likewise, for a value of the wrong type.
     """
-    check_choice("group_filter", model.group_filter, GROUP_FILTERS)
-    check_choice("scale_advantage", model.scale_advantage, ADVANTAGE_SCALES)
-    check_choice("scale_learning_rate", model.scale_learning_rate, RATE_SCALES)
-    check_choice("loss_agg", model.loss_agg, LOSS_AGGREGATIONS)
-    check_choice("timesteps", model.timesteps, TIMESTEP_COUNTS)
+    check_seed(model.seed)
+    for name in CHOICES:
+        check_choice(name, getattr(model, name))
     for name, least, why in WHOLE_NUMBERS:
         value = getattr(model, name)
         if value is not None or name not in OPTIONAL:
@@ -158,5 +199,5 @@ def check_grpo_options(model: Any) -> None:
     sampler = model.condition_sampler
     if sampler is not None and not (hasattr(sampler, "draw") and hasattr(sampler, "reset_kwargs")):
         raise TypeError(
-            f"condition_sampler is {sampler!r}, but must have `draw` and `reset_kwargs`; None is the env's."
+            f"condition_sampler is {sampler!r}, but must have `draw` and `reset_kwargs`; None takes the env's."
         )

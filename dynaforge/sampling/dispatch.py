@@ -1,4 +1,4 @@
-"""Running any number of episodes over any number of envs, in lock step."""
+"""Runs any number of episodes over any number of envs, in lock step."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from dynaforge.sampling.job_routes import choose_route, idle_action
 from dynaforge.sampling.sampler import Job
 from dynaforge.sampling.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
 
-ENDLESS = 100_000  # Steps after which an uncapped episode is taken for one that never ends.
+MAX_UNCAPPED_STEPS = 100_000  # An episode without a cap that is longer is taken for one that never ends.
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FinishedEpisode:
-    """Outcome of a job.
+    """What a job came to.
 
     Attributes:
         job: The job.
         total_reward: Sum of rewards; for DynaForge envs the R of Eq. 6.
         length: Steps taken.
-        success: The env's "is_success" at the end, or None when it says nothing.
-        truncated: It was cut off, by the dispatcher or by a TimeLimit.
-        capped: The dispatcher cut it off, at `max_episode_steps`.
+        success: The env's "is_success" at the end; None when it does not report it.
+        truncated: Whether it was cut off, by the dispatcher or by a TimeLimit.
+        capped: Whether the dispatcher cut it off, at `max_episode_steps`.
         info: The env's last info.
     """
 
@@ -44,22 +44,22 @@ class FinishedEpisode:
     info: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DispatchStep:
-    """What one lock step did. All arrays have one row per env.
+    """What one lock step did; arrays and lists other than `finished` have one row per env.
 
     Attributes:
-        acted: Rows whose action had a place in an episode.
-        jobs: Index of the job each row worked on; -1 where it did not act.
-        new_obs: Observations after the step; rows that did not act keep theirs, rows that started show the first.
-        rewards: 0 where a row did not act.
+        acted: Whether the row's action was a step of an episode.
+        jobs: The job of each row that acted; None for the others.
+        new_obs: Observations after the step: the first one of an episode that started, the old one of an idle row.
+        rewards: 0 where the row did not act.
         dones: True where an episode ended, by itself or at the cap.
-        infos: {"idle": True} where a row did not work.
-        finished: Episodes that ended.
+        infos: {"idle": True} where the row neither acted nor started an episode.
+        finished: The episodes that ended.
     """
 
     acted: NDArray[np.bool_]
-    jobs: NDArray[np.int64]
+    jobs: list[Job | None]
     new_obs: Observations
     rewards: NDArray[np.float64]
     dones: NDArray[np.bool_]
@@ -72,16 +72,19 @@ class DispatchStep:
 class EpisodeDispatcher:
     """Feeds jobs to the rows of a VecEnv as they become free.
 
-    Use: `submit(jobs)`, then `step(actions)` while `busy`, reading `obs` before each step; `release()` at the end.
+    Call `submit(jobs)`, then `step(actions)` while `busy`, reading `obs` before each step, all inside `releasing()`.
     The innermost VecEnv is stepped directly and its wrappers are applied to live rows (see `WrapperStack`), so idle
     rows reach neither statistics nor buffers.
 
     Args:
         env: Any VecEnv.
-        max_episode_steps: Ends episodes that are still running after so many steps. Needed for endless envs.
+        max_episode_steps: Ends episodes that are still running after this many steps; needed for endless envs.
+
+    Attributes:
+        newly_started: Rows that take the first action of an episode at the next step.
 
     Raises:
-        ValueError: A wrapper that cannot be stepped through, or a cap below 1.
+        ValueError: A wrapper that whole-episode sampling cannot handle, or a cap below 1.
     """
 
     def __init__(self, env: VecEnv, *, max_episode_steps: int | None = None) -> None:
@@ -98,7 +101,7 @@ class EpisodeDispatcher:
         self._starting = np.zeros(self.n_envs, dtype=bool)
         self._returns = np.zeros(self.n_envs)
         self._lengths = np.zeros(self.n_envs, dtype=np.int64)
-        self._tells_success = False
+        self._reports_success = False  # whether any episode has so far
         self._obs: Observations | None = None
         self._t0 = time.monotonic()
         self.ticks = 0
@@ -112,9 +115,9 @@ class EpisodeDispatcher:
 
     @property
     def obs(self) -> Observations:
-        """Observations to act on, one row per env; rows that are not in an episode hold old or zero values."""
+        """Observations to act on, one row per env; those of rows outside an episode are old or zero."""
         if self._obs is None:
-            raise RuntimeError("There is nothing to act on yet: submit jobs first.")
+            raise RuntimeError("There is no observation yet: submit jobs first.")
         return self._obs
 
     @property
@@ -123,7 +126,7 @@ class EpisodeDispatcher:
         return self.idle_rows / max(1, self.ticks * self.n_envs)
 
     def submit(self, jobs: Iterable[Job]) -> None:
-        """Queue jobs and start as many as there are envs; afterwards `obs` holds their first observations.
+        """Queue jobs and start one in each env; `obs` then has their first observations.
 
         Raises:
             RuntimeError: Jobs of an earlier call are still running.
@@ -136,48 +139,48 @@ class EpisodeDispatcher:
         self._start_rows()
 
     def step(self, actions: Any) -> DispatchStep:
-        """Take one action in every running episode, then let free rows start what is pending.
+        """Take one action in every running episode, then start pending jobs on free rows.
 
         Args:
-            actions: Actions valid in the action space, one row per env; rows outside an episode are ignored.
+            actions: One row per env, valid in the action space; rows outside an episode are ignored.
 
         Raises:
-            FloatingPointError: An observation or reward is NaN or infinite; names env, episode and component.
-            RuntimeError: An uncapped episode seems endless.
+            FloatingPointError: An observation or reward is NaN or infinite; it names env, episode and component.
+            RuntimeError: An episode without a cap seems never to end.
         """
         result = self._tick(actions)
         self._start_rows()
         return result
 
     def release(self) -> None:
-        """Drop what is pending or running and give the VecEnv back its ordinary behaviour."""
+        """Drop pending and running jobs and restore the VecEnv's automatic resets."""
         self._pending.clear()
         self._acting[:] = self._starting[:] = False
         self._job = [None] * self.n_envs
         self._route.release()
 
     @contextlib.contextmanager
-    def lent(self) -> Iterator[None]:
-        """Release the VecEnv however the block ends; what ended it is not hidden by an env that cannot be released."""
+    def releasing(self) -> Iterator[None]:
+        """Release the VecEnv however the block ends; an exception of the block is the one that is raised."""
         try:
             yield
         except BaseException:
-            with contextlib.suppress(RuntimeError, OSError):  # a worker that died, a VecEnv that was closed
+            with contextlib.suppress(RuntimeError, OSError):  # a worker has died, or the VecEnv is closed
                 self.release()
             raise
         self.release()
 
     def _hand_out(self) -> None:
-        for index in np.flatnonzero(~(self._acting | self._starting)).tolist():
+        for row in np.flatnonzero(~(self._acting | self._starting)).tolist():
             if not self._pending:
                 return
             job = self._pending.popleft()
-            self._route.assign(index, job.reset_kwargs)
-            self._job[index] = job
-            self._starting[index] = True
+            self._route.assign(row, job)
+            self._job[row] = job
+            self._starting[row] = True
 
     def _start_rows(self) -> None:
-        # Rows usually start while others act. When none acts, one step without actions lets them start.
+        # Rows usually start while others act. When none acts, a step without actions starts them.
         self.newly_started = np.flatnonzero(self._acting & (self._lengths == 0))
         if not self._acting.any() and self._starting.any():
             self._tick(self._idle_actions)
@@ -186,7 +189,7 @@ class EpisodeDispatcher:
     def _tick(self, actions: Any) -> DispatchStep:
         acted, started = self._acting.copy(), self._starting.copy()
         worked = acted | started
-        jobs = np.array([job.index if job and a else -1 for job, a in zip(self._job, acted, strict=True)])
+        jobs = [job if row_acted else None for job, row_acted in zip(self._job, acted, strict=True)]
         raw, rewards, dones, infos = self._route.step(actions)
         rewards = np.where(acted, rewards, 0.0)
         self._check_finite(raw, rewards, worked)
@@ -203,55 +206,65 @@ class EpisodeDispatcher:
             put_rows(obs, ~worked, take_rows(self._obs, ~worked))
         self._obs = obs
         self._stack.film()
-        finished = [self._finish(i, raw, infos[i], bool(capped[i])) for i in np.flatnonzero(dones).tolist()]
+        finished = [self._finish(row, raw, infos[row], bool(capped[row])) for row in np.flatnonzero(dones).tolist()]
         self._acting = worked & ~dones
         self._starting[:] = False
         self._hand_out()
-        return DispatchStep(acted, jobs, obs, rewards, dones, infos, finished)
+        return DispatchStep(
+            acted=acted, jobs=jobs, new_obs=obs, rewards=rewards, dones=dones, infos=infos, finished=finished
+        )
 
     def _end_at_cap(
         self, dones: NDArray[np.bool_], acted: NDArray[np.bool_]
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        limit = self.max_episode_steps if self.max_episode_steps is not None else ENDLESS
+        limit = self.max_episode_steps if self.max_episode_steps is not None else MAX_UNCAPPED_STEPS
         over = acted & ~dones & (self._lengths >= limit)
         if self.max_episode_steps is None and over.any():
-            where = self._job[int(np.argmax(over))]
-            raise RuntimeError(f"{where} has not ended after {ENDLESS} steps. For endless envs pass max_episode_steps.")
+            job = self._job[int(np.argmax(over))]
+            raise RuntimeError(
+                f"{job} has not ended after {MAX_UNCAPPED_STEPS} steps. For endless envs pass max_episode_steps."
+            )
         return dones | over, over
 
-    def _finish(self, index: int, raw: Observations, info: dict[str, Any], capped: bool) -> FinishedEpisode:
-        job = self._job[index]
+    def _finish(self, row: int, raw: Observations, info: dict[str, Any], capped: bool) -> FinishedEpisode:
+        job = self._job[row]
         assert job is not None
         if capped:
             info["TimeLimit.truncated"] = True
-            self._route.drop(index)
+            self._route.drop(row)
         truncated = bool(info.get("TimeLimit.truncated", False))
         if "is_success" in info:
-            self._tells_success = True
-        elif truncated and self._tells_success:
-            info["is_success"] = False  # many envs report success only with an end of their own
+            self._reports_success = True
+        elif truncated and self._reports_success:
+            info["is_success"] = False  # many envs report success only when they end an episode themselves
         last = info.get("terminal_observation")
-        info["terminal_observation"] = self._stack.peek(take_rows(raw, index) if last is None else last)
-        total, length = float(self._returns[index]), int(self._lengths[index])
-        episode = {"r": round(total, 6), "l": length, "t": round(time.monotonic() - self._t0, 6)}
-        self._stack.report_episode(episode, info)
-        info.setdefault("episode", episode)
-        success = info.get("is_success")
-        self._job[index] = None
-        won = None if success is None else bool(success)
-        return FinishedEpisode(job, total, length, won, truncated, capped, info)
+        info["terminal_observation"] = self._stack.peek(take_rows(raw, row) if last is None else last)
+        total, length = float(self._returns[row]), int(self._lengths[row])
+        summary = {"r": round(total, 6), "l": length, "t": round(time.monotonic() - self._t0, 6)}
+        self._stack.report_episode(summary, info)
+        info.setdefault("episode", summary)
+        self._job[row] = None
+        return FinishedEpisode(
+            job=job,
+            total_reward=total,
+            length=length,
+            success=None if info.get("is_success") is None else bool(info["is_success"]),
+            truncated=truncated,
+            capped=capped,
+            info=info,
+        )
 
     def _check_finite(self, raw: Observations, rewards: NDArray[np.float64], worked: NDArray[np.bool_]) -> None:
         parts = raw.items() if isinstance(raw, dict) else [("", raw)]
         for key, part in parts:
             if part.dtype.kind != "f" or np.isfinite(part[worked]).all():
                 continue
-            index = int(np.argmax(worked & ~np.isfinite(part.reshape(self.n_envs, -1)).all(axis=1)))
-            where = np.argwhere(~np.isfinite(part[index]))[0].tolist()
+            row = int(np.argmax(worked & ~np.isfinite(part.reshape(self.n_envs, -1)).all(axis=1)))
+            where = np.argwhere(~np.isfinite(part[row]))[0].tolist()
             name = f"observation[{key!r}]" if key else "observation"
             raise FloatingPointError(
-                f"{name} of env {index} is {part[index][tuple(where)]} at component {where} ({self._job[index]})."
+                f"{name} of env {row} is {part[row][tuple(where)]} at component {where} ({self._job[row]})."
             )
         if not np.isfinite(rewards).all():
-            index = int(np.argmax(~np.isfinite(rewards)))
-            raise FloatingPointError(f"Reward of env {index} is {rewards[index]} ({self._job[index]}).")
+            row = int(np.argmax(~np.isfinite(rewards)))
+            raise FloatingPointError(f"Reward of env {row} is {rewards[row]} ({self._job[row]}).")

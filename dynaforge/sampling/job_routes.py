@@ -1,8 +1,7 @@
-"""Three ways of running single episodes on the rows of a VecEnv, behind one face."""
+"""Three ways of running single episodes on the rows of a VecEnv, behind one interface."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -10,33 +9,34 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
+from dynaforge.sampling.sampler import Group, Job
 from dynaforge.sampling.vec_wrappers import Observations, put_rows, take_rows
 
 Step = tuple[Observations, NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]
 
 
 class JobRoute(Protocol):
-    """Rows that start an episode when told so, and stay idle when it is over.
+    """Runs the episode that a row is assigned, and leaves the row idle once it is over.
 
-    A row that was assigned an episode starts it at the next `step`: its action is ignored, its observation is the
-    first one, reward 0, done False, info the reset info with "episode_start". Idle rows earn 0 and never finish.
+    A row that was assigned a job starts it at the next `step`: its action is ignored, its observation is the first
+    one, reward 0, done False, info the reset info with "episode_start". Idle rows earn 0 and are never done.
     """
 
-    def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
-        """Let row `index` start an episode at the next step."""
+    def assign(self, row: int, job: Job) -> None:
+        """Start a job on a row at the next step."""
 
-    def drop(self, index: int) -> None:
-        """Let row `index` leave its episode, where the VecEnv can."""
+    def drop(self, row: int) -> None:
+        """Abandon the episode of a row, where the VecEnv can."""
 
     def step(self, actions: Any) -> Step:
         """Advance all rows by one step."""
 
     def release(self) -> None:
-        """Give the VecEnv back its ordinary behaviour."""
+        """Restore the VecEnv's automatic resets."""
 
 
 def choose_route(base: VecEnv) -> JobRoute:
-    """Pick the best route an innermost VecEnv offers: its own job mode, one process, or any VecEnv."""
+    """Return the best route for an innermost VecEnv: its own job mode, else one process, else that of any VecEnv."""
     if callable(getattr(base, "assign", None)) and callable(getattr(base, "park_when_done", None)):
         return NativeRoute(base)
     if type(base).step_wait is DummyVecEnv.step_wait:
@@ -45,7 +45,7 @@ def choose_route(base: VecEnv) -> JobRoute:
 
 
 def idle_action(space: spaces.Space[Any]) -> Any:
-    """Return a harmless valid action: zeros, moved into the space where it does not hold zero."""
+    """Return a valid action for rows whose action is ignored: zeros, clipped to the space."""
     if isinstance(space, spaces.Box):
         return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
     if isinstance(space, spaces.Discrete):
@@ -54,20 +54,20 @@ def idle_action(space: spaces.Space[Any]) -> Any:
 
 
 class NativeRoute:
-    """The job mode of a VecEnv that has `park_when_done` and `assign`: idle envs do not simulate at all."""
+    """Uses the job mode of a VecEnv with `park_when_done` and `assign`: idle envs do not simulate at all."""
 
     def __init__(self, base: Any) -> None:
         self._base = base
         self._parking = False
 
-    def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
+    def assign(self, row: int, job: Job) -> None:
         if not self._parking:
-            self._parking = True  # first: a Ctrl-C inside the call must not hide that it may have been heard
+            self._parking = True  # before the call: a Ctrl-C inside it may come after the VecEnv has switched
             self._base.park_when_done(True)
-        self._base.assign(index, dict(reset_kwargs))
+        self._base.assign(row, dict(job.group.reset_kwargs))
 
-    def drop(self, index: int) -> None:
-        """Nothing: the env runs on, unseen, until its episode ends or it is assigned another."""
+    def drop(self, row: int) -> None:
+        """Do nothing: the env runs on, unread, until its episode ends or it is assigned another."""
 
     def step(self, actions: Any) -> Step:
         return cast(Step, self._base.step(actions))
@@ -79,20 +79,20 @@ class NativeRoute:
 
 
 class _EmulatedRoute:
-    """Keeps the book of idle, starting and running rows that a stock VecEnv does not keep."""
+    """Keeps track of idle, starting and running rows for a VecEnv without a job mode."""
 
     def __init__(self, base: VecEnv) -> None:
         self._base = base
         self._running = np.zeros(base.num_envs, dtype=bool)
-        self._assigned: dict[int, Mapping[str, Any]] = {}
+        self._assigned: dict[int, Job] = {}
         self._idle_action = idle_action(base.action_space)
         self._obs = _blank(base.observation_space, base.num_envs)
 
-    def assign(self, index: int, reset_kwargs: Mapping[str, Any]) -> None:
-        self._assigned[index] = reset_kwargs
+    def assign(self, row: int, job: Job) -> None:
+        self._assigned[row] = job
 
-    def drop(self, index: int) -> None:
-        self._running[index] = False
+    def drop(self, row: int) -> None:
+        self._running[row] = False
 
     def release(self) -> None:
         self._running[:] = False
@@ -103,42 +103,42 @@ class _EmulatedRoute:
         return np.zeros(n), np.zeros(n, dtype=bool), [{"idle": True} for _ in range(n)]
 
     def _start_assigned(self, infos: list[dict[str, Any]]) -> None:
-        together: dict[int, list[int]] = {}  # rows that share one reset_kwargs object reset at the same time
-        for index, reset_kwargs in self._assigned.items():
-            together.setdefault(id(reset_kwargs), []).append(index)
-        for rows in together.values():
-            started = self._base.env_method("reset", indices=rows, **self._assigned[rows[0]])
-            for index, (first, info) in zip(rows, started, strict=True):
-                put_rows(self._obs, index, first)
-                infos[index] = {**info, "episode_start": True}
-                self._running[index] = True
+        rows_of: dict[Group, list[int]] = {}  # the rows of a group reset in one call, in parallel where envs are
+        for row, job in self._assigned.items():
+            rows_of.setdefault(job.group, []).append(row)
+        for group, rows in rows_of.items():
+            started = self._base.env_method("reset", indices=rows, **group.reset_kwargs)
+            for row, (first, info) in zip(rows, started, strict=True):
+                put_rows(self._obs, row, first)
+                infos[row] = {**info, "episode_start": True}
+                self._running[row] = True
         self._assigned.clear()
 
 
 class InProcessRoute(_EmulatedRoute):
-    """`DummyVecEnv`: its envs are reached one by one, so idle ones are not stepped and nothing resets twice."""
+    """Steps the envs of a `DummyVecEnv` one by one, so that idle ones are not stepped and none resets twice."""
 
     def step(self, actions: Any) -> Step:
         rewards, dones, infos = self._blank_step()
-        for index in np.flatnonzero(self._running).tolist():
-            if index in self._assigned:
+        for row in np.flatnonzero(self._running).tolist():
+            if row in self._assigned:
                 continue
-            taken = self._base.env_method("step", actions[index], indices=[index])[0]
-            last, rewards[index], terminated, truncated, info = taken
-            put_rows(self._obs, index, last)
-            dones[index] = terminated or truncated
-            infos[index] = {**info, "TimeLimit.truncated": truncated and not terminated}
-            if dones[index]:
-                infos[index]["terminal_observation"] = last
-                self._running[index] = False
+            taken = self._base.env_method("step", actions[row], indices=[row])[0]
+            last, rewards[row], terminated, truncated, info = taken
+            put_rows(self._obs, row, last)
+            dones[row] = terminated or truncated
+            infos[row] = {**info, "TimeLimit.truncated": truncated and not terminated}
+            if dones[row]:
+                infos[row]["terminal_observation"] = last
+                self._running[row] = False
         self._start_assigned(infos)
         return _copy(self._obs), rewards, dones, infos
 
 
 class StockRoute(_EmulatedRoute):
-    """Any VecEnv, for instance `SubprocVecEnv`: idle envs take idle actions in episodes that nobody looks at.
+    """Steps any VecEnv, for instance `SubprocVecEnv`: idle envs take idle actions in episodes that nobody reads.
 
-    Costs what those steps and the automatic resets cost. A Monitor file of an env counts such episodes too.
+    Those steps and the automatic resets cost time, and a Monitor file of an env counts such episodes too.
     """
 
     def __init__(self, base: VecEnv) -> None:
@@ -153,11 +153,11 @@ class StockRoute(_EmulatedRoute):
         actions[~acting] = self._idle_action
         stepped = self._base.step(actions)
         obs = cast(Observations, stepped[0])
-        for index in np.flatnonzero(acting).tolist():
-            rewards[index], dones[index], infos[index] = stepped[1][index], stepped[2][index], dict(stepped[3][index])
-            last = infos[index]["terminal_observation"] if dones[index] else take_rows(obs, index)
-            put_rows(self._obs, index, last)
-            self._running[index] = not dones[index]
+        for row in np.flatnonzero(acting).tolist():
+            rewards[row], dones[row], infos[row] = stepped[1][row], stepped[2][row], dict(stepped[3][row])
+            last = infos[row]["terminal_observation"] if dones[row] else take_rows(obs, row)
+            put_rows(self._obs, row, last)
+            self._running[row] = not dones[row]
         self._start_assigned(infos)
         return _copy(self._obs), rewards, dones, infos
 

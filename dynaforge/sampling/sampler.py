@@ -1,19 +1,30 @@
-"""Which episodes an update consists of: N conditions, each run K times."""
+"""The episodes of an update: N conditions, each run K times."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
+if TYPE_CHECKING:  # light to import: workers have no need of Stable-Baselines3
+    from stable_baselines3.common.vec_env import VecEnv
+
+MAX_QUOTED = 200  # characters of reset arguments quoted in an error
+
 
 class ConditionSampler(Protocol):
-    """What an env offers so that its episodes can be drawn and repeated. Must be picklable."""
+    """Draws conditions of an env and says how to run them. It must be picklable."""
 
     def draw(self, rng: np.random.Generator, stratum: int | None = None, n_strata: int = 1) -> Any:
-        """Draw a condition from one of `n_strata` strata of difficulty, or from the whole range when None."""
+        """Draw a condition.
+
+        Args:
+            rng: Source of all randomness.
+            stratum: Stratum of difficulty to draw from, 0 the easiest; None draws from the whole range.
+            n_strata: Number of strata that the range is cut into.
+        """
 
     def reset_kwargs(self, condition: Any) -> dict[str, Any]:
         """Return what `env.reset` takes to run this condition."""
@@ -21,13 +32,16 @@ class ConditionSampler(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SeedConditionSampler:
-    """Conditions for envs that know none: a condition is a reset seed, shared by the rollouts of a group.
-
-    Seeds have no order of difficulty, so strata mean nothing here and are ignored.
-    """
+    """Conditions for envs without any of their own: a condition is a reset seed, shared by the rollouts of a group."""
 
     def draw(self, rng: np.random.Generator, stratum: int | None = None, n_strata: int = 1) -> int:
-        """Draw a reset seed."""
+        """Draw a reset seed.
+
+        Args:
+            rng: Source of all randomness.
+            stratum: Ignored, since seeds have no order of difficulty.
+            n_strata: Ignored.
+        """
         return int(rng.integers(2**31 - 1))
 
     def reset_kwargs(self, condition: Any) -> dict[str, Any]:
@@ -35,34 +49,16 @@ class SeedConditionSampler:
         return {"seed": condition}
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """One episode to run.
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """A condition that several rollouts share, and with it all that they have in common.
 
     Attributes:
-        index: Position among the jobs of an update, group * K + rollout.
-        group: Which condition.
-        rollout: Which of its K repetitions.
-        stratum: Stratum of difficulty the condition was drawn from; None for the whole range.
-        reset_kwargs: What `env.reset` takes.
+        index: Position among the groups of an update.
+        stratum: Stratum of difficulty that the condition was drawn from; None for the whole range.
+        condition: The condition.
+        reset_kwargs: What `env.reset` takes to run it.
     """
-
-    index: int
-    group: int
-    rollout: int
-    stratum: int | None
-    reset_kwargs: Mapping[str, Any]
-
-    def __str__(self) -> str:
-        options = self.reset_kwargs.get("options") or {}
-        condition = getattr(options.get("condition"), "id", None)
-        what = f"condition {condition}" if condition else f"reset({_spell(self.reset_kwargs)})"
-        return f"rollout {self.rollout} of group {self.group}, {what}"
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """One condition and the stratum it was drawn from; its rollouts share all of it."""
 
     index: int
     stratum: int | None
@@ -70,11 +66,43 @@ class Group:
     reset_kwargs: Mapping[str, Any] = field(repr=False)
 
 
-class StratifiedSampler:
-    """Draws the conditions of an update and spells them out as jobs.
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One episode to run.
 
-    "Stratified matched-condition groups" of the paper: one condition from each of N strata of difficulty, K
-    rollouts of each. Which envs run the jobs, and how many there are, plays no part in what is drawn.
+    Attributes:
+        group: Whose condition it runs.
+        rollout: Which of the group's rollouts it is, from 0.
+    """
+
+    group: Group
+    rollout: int
+
+    def __str__(self) -> str:
+        return f"rollout {self.rollout} of group {self.group.index}, {describe_reset(self.group.reset_kwargs)}"
+
+
+def condition_sampler_of(env: VecEnv) -> ConditionSampler:
+    """Return the condition sampler that the envs offer, else one of reset seeds."""
+    if env.has_attr("condition_sampler"):
+        return cast(ConditionSampler, env.get_attr("condition_sampler", indices=[0])[0])
+    return SeedConditionSampler()
+
+
+def describe_reset(reset_kwargs: Mapping[str, Any]) -> str:
+    """Describe what a reset with these arguments runs: the condition's id if there is one, else the arguments."""
+    condition_id = getattr((reset_kwargs.get("options") or {}).get("condition"), "id", None)
+    if condition_id is not None:
+        return f"condition {condition_id}"
+    given = ", ".join(f"{name}={value!r}" for name, value in reset_kwargs.items() if value is not None)
+    return f"reset({given[:MAX_QUOTED]})"
+
+
+class StratifiedSampler:
+    """Draws the conditions of an update and lists its jobs.
+
+    The paper's "stratified matched-condition groups": one condition from each of N strata of difficulty, K rollouts
+    of each. What is drawn does not depend on how many envs run the jobs.
 
     Args:
         n_groups: N, at least 1.
@@ -103,10 +131,10 @@ class StratifiedSampler:
         """Draw one condition for each stratum.
 
         Args:
-            conditions: Where conditions come from.
+            conditions: Source of conditions.
             rng: Source of all randomness.
-            strata: Strata to draw from, default each of the N once; a shorter list draws replacements.
-            first_index: Index of the first group.
+            strata: Strata to draw from; by default each of the N once. A shorter list draws replacements.
+            first_index: Index of the first group drawn.
         """
         groups = []
         for index, stratum in enumerate(self.strata if strata is None else strata, start=first_index):
@@ -115,17 +143,9 @@ class StratifiedSampler:
         return groups
 
     def jobs(self, groups: Sequence[Group]) -> list[Job]:
-        """Spell out K jobs a group, in the order to run them: the first rollout of every group, then the second.
+        """List the K jobs of each group in the order to run them: the first rollout of every group, then the second.
 
         Run group by group, the last episodes of an update would be the hardest, and every trailing mean, such as
-        rollout/success_rate, would show the hard strata only. The jobs of a group share one reset_kwargs object.
+        rollout/success_rate, would show the hard strata only.
         """
-        return [
-            Job(group.index * self.group_size + rollout, group.index, rollout, group.stratum, group.reset_kwargs)
-            for rollout in range(self.group_size)
-            for group in groups
-        ]
-
-
-def _spell(kwargs: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key}={value!r}" for key, value in kwargs.items())
+        return [Job(group, rollout) for rollout in range(self.group_size) for group in groups]

@@ -1,8 +1,8 @@
-"""Passing observations through a stack of VecEnv wrappers when only some rows are in an episode.
+"""Passes observations through a stack of VecEnv wrappers when only some rows are in an episode.
 
 The wrappers of Stable-Baselines3 treat all rows of a step alike. When envs idle, VecNormalize would count their
-repeated observations and VecMonitor their steps; so the innermost VecEnv is stepped directly, and what each
-wrapper does to observations is applied here, to live rows only.
+repeated observations and VecMonitor their steps. So the innermost VecEnv is stepped directly, and what each wrapper
+does to observations is applied here, to live rows only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,13 @@ def take_rows(obs: Observations, rows: Any) -> Observations:
 
 
 def put_rows(obs: Observations, rows: Any, values: Observations) -> None:
-    """Write rows into a batch of observations, in place."""
+    """Write rows into a batch of observations, in place.
+
+    Args:
+        obs: The batch.
+        rows: Index of one row, or indices of several.
+        values: What to write, one row or several.
+    """
     if isinstance(obs, dict):
         for key, part in obs.items():
             part[rows] = cast(dict[str, Any], values)[key]
@@ -45,7 +51,7 @@ class WrapperStack:
     """The wrappers around a VecEnv, applied row by row.
 
     VecNormalize counts the observations that a policy acts on: no idle rows, no terminal observations. Its reward
-    normalisation is left out, since it would make equal successes unequal returns.
+    normalisation is left out, since it would give equal successes unequal returns.
 
     Args:
         env: A VecEnv, wrapped or not. Known wrappers are VecNormalize, VecTransposeImage, VecExtractDictObs,
@@ -78,7 +84,12 @@ class WrapperStack:
                 )
 
     def observe(self, raw: Observations, counted: Rows) -> Observations:
-        """Turn the innermost observations into those a policy sees, and count the given rows in statistics."""
+        """Turn the innermost observations into those a policy sees.
+
+        Args:
+            raw: Observations of the innermost VecEnv, one row per env.
+            counted: Rows that VecNormalize counts in its statistics.
+        """
         obs = raw
         for wrapper in self.wrappers:
             if isinstance(wrapper, VecNormalize):
@@ -95,7 +106,7 @@ class WrapperStack:
         return raw
 
     def film(self) -> None:
-        """Let every VecVideoRecorder count a step and take its picture of it."""
+        """Let every VecVideoRecorder count a step and record its frame."""
         for wrapper in self.wrappers:
             if isinstance(wrapper, VecVideoRecorder):
                 venv, wrapper.venv = wrapper.venv, cast(VecEnv, _SteppedAlready)
@@ -105,17 +116,19 @@ class WrapperStack:
                     wrapper.venv = venv
 
     def report_episode(self, episode: dict[str, Any], info: dict[str, Any]) -> None:
-        """Let every VecMonitor note a finished episode; one that was cut off may lack what its env says at an end."""
+        """Record a finished episode in every VecMonitor; one that was cut off may lack some of the info keywords."""
         for wrapper in self.wrappers:
             if isinstance(wrapper, VecMonitor):
                 wrapper.episode_count += 1
                 if wrapper.results_writer:
-                    told = {key: info.get(key, False if key == "is_success" else None) for key in wrapper.info_keywords}
-                    wrapper.results_writer.write_row(episode | told)
+                    extra = {
+                        key: info.get(key, False if key == "is_success" else None) for key in wrapper.info_keywords
+                    }
+                    wrapper.results_writer.write_row(episode | extra)
 
 
 class _SteppedAlready:
-    """Stands for the VecEnv below a recorder, which the innermost one's own step has passed by."""
+    """Replaces the VecEnv below a recorder, since the innermost one has been stepped already."""
 
     @staticmethod
     def step_wait() -> tuple[None, None, None, None]:

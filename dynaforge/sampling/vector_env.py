@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 from stable_baselines3.common.vec_env.util import dict_to_obs, obs_space_info
 
 from dynaforge.sampling.processes import usable_cores
+from dynaforge.sampling.sampler import describe_reset
 from dynaforge.sampling.vector_errors import WorkerDied, WorkerError, WorkerFailed
 from dynaforge.sampling.vector_pool import EnvFn, WorkerPool
 from dynaforge.sampling.vector_worker import (
@@ -36,8 +37,6 @@ from dynaforge.sampling.vector_worker import (
 )
 
 __all__ = ["SharedMemoryVecEnv", "WorkerDied", "WorkerError", "WorkerFailed"]
-
-MAX_LABEL = 200  # characters of reset arguments quoted in an error
 
 
 class SharedMemoryVecEnv(VecEnv):
@@ -80,8 +79,7 @@ class SharedMemoryVecEnv(VecEnv):
         try:
             self._share_memory()
             super().__init__(n_envs, *self._pool.spaces[0])
-            self.metadata = dict(self.get_attr("metadata", indices=[0])[0])  # VecVideoRecorder reads its render_fps
-            self.metadata = self.get_attr("metadata", 0)[0]  # recorders read render_fps from it
+            self.metadata = dict(self.get_attr("metadata", indices=[0])[0])  # recorders read render_fps from it
         except BaseException:
             self._pool.close()
             raise
@@ -122,7 +120,7 @@ class SharedMemoryVecEnv(VecEnv):
         ]
         self._assigned = {}
         for index, reset_kwargs in enumerate(kwargs):
-            self._pool.labels[index] = _describe(reset_kwargs)
+            self._pool.labels[index] = describe_reset(reset_kwargs)
         shares = self._pool.shares
         answers = self._pool.exchange(
             {w: dump(("reset", kwargs[share.start : share.stop])) for w, share in enumerate(shares)}
@@ -244,7 +242,7 @@ class SharedMemoryVecEnv(VecEnv):
             if mine:
                 messages[worker] = dump(("step", mine))
             for index, reset_kwargs in mine.items():
-                self._pool.labels[index] = _describe(reset_kwargs)
+                self._pool.labels[index] = describe_reset(reset_kwargs)
         self._assigned = {}
         return messages
 
@@ -280,12 +278,3 @@ def _check_equal(spaces: Sequence[tuple[gym.Space[Any], gym.Space[Any]]]) -> Non
     for space in (*leaves, action):
         if space.shape is None or space.dtype is None:
             raise ValueError(f"The space {space} has no fixed shape; use Box, Discrete, MultiDiscrete or MultiBinary.")
-
-
-def _describe(reset_kwargs: dict[str, Any]) -> str:
-    """Say in words what a reset with these arguments runs: the condition's id if there is one."""
-    condition_id = getattr((reset_kwargs.get("options") or {}).get("condition"), "id", None)
-    if condition_id is not None:
-        return f"condition {condition_id}"
-    given = ", ".join(f"{name}={value!r}" for name, value in reset_kwargs.items() if value is not None)
-    return f"reset({given[:MAX_LABEL]})"

@@ -69,8 +69,8 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path, *, seed: int) -> None:
 def _as_of_iteration_start(model: OnPolicyAlgorithm) -> Iterator[RandomState | None]:
     """Let a FrontierGRPO be as it was before the iteration under way, which a resumed run repeats; as its `save`."""
     if isinstance(model, FrontierGRPO):
-        with model._as_of_iteration_start():
-            yield model._saved_state
+        with model.as_of_iteration_start() as state:
+            yield state
     else:
         yield None
 
@@ -85,8 +85,7 @@ def _restore_optimizer(optimizer: th.optim.Optimizer, tensors: dict[str, th.Tens
 
 def _restore_randomness(model: OnPolicyAlgorithm, random: RandomState, seed: int) -> None:
     if isinstance(model, FrontierGRPO):
-        random.restore_generators((model.condition_rng, model.minibatch_rng))
-        model._saved_state = random
+        model.resume_from(random)
         return
     fresh = np.random.SeedSequence((seed, model.num_timesteps)).generate_state(2)
     th.manual_seed(int(fresh[0]))

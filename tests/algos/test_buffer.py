@@ -5,17 +5,21 @@ import numpy as np
 import pytest
 
 from dynaforge.algos.buffer import GroupRolloutBuffer
+from dynaforge.sampling.sampler import Group, Job
 
 OBS = gym.spaces.Box(-np.inf, np.inf, (1,), np.float64)
 ACT = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+JOBS = [Job(group, rollout) for group in (Group(0, None, "a", {}), Group(1, None, "b", {})) for rollout in (0, 1)]
 
 
 def filled(schedule: list[list[tuple[int, int]]]) -> GroupRolloutBuffer:
     """Fill a buffer with steps of (job, time); the time is the observation, every third time is ungated."""
     buffer = GroupRolloutBuffer(4, OBS, ACT, device="cpu", gae_lambda=1.0, gamma=1.0, n_envs=3)
     for step in schedule:
-        jobs, times = np.array(step).T
-        obs = (10.0 * jobs + times)[:, None]
+        numbers, times = np.array(step).T
+        jobs = [JOBS[number] for number in numbers]
+        obs = (10.0 * numbers + times)[:, None]
         buffer.add(obs, np.zeros((len(jobs), 2), np.float32), obs[:, 0].astype(np.float32), times % 3 != 2, jobs)
     buffer.finish()
     return buffer
@@ -28,7 +32,8 @@ TWO_ENVS = [[(0, 0), (1, 0)], [(1, 1), (0, 1)], [(1, 2), (3, 0)], [(2, 0), (3, 1
 def test_order_does_not_depend_on_which_env_ran_a_job():
     a, b = filled(ONE_ENV), filled(TWO_ENVS)
     np.testing.assert_array_equal(a.observations, b.observations)
-    np.testing.assert_array_equal(a.jobs, [0, 0, 1, 1, 1, 2, 3, 3, 3, 3])
+    np.testing.assert_array_equal(a.groups, [0, 0, 0, 0, 0, 1, 1, 1, 1, 1])
+    np.testing.assert_array_equal(a.rollouts, [0, 0, 1, 1, 1, 0, 1, 1, 1, 1])
     np.testing.assert_array_equal(a.log_probs, b.log_probs)
     np.testing.assert_array_equal(a.mask, b.mask)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch as th
@@ -27,14 +29,28 @@ def acted(policy: CriticFreePolicy, observations: th.Tensor, seed: int) -> KeptT
         distribution = policy.get_distribution(observations)
         actions = distribution.sample()
         log_probs = distribution.log_prob(actions)
-    return KeptTransitions(observations, actions, log_probs, th.sign(actions[:, 0]), th.ones(len(actions)))
+    return KeptTransitions(
+        observations=observations,
+        actions=actions,
+        log_probs=log_probs,
+        advantages=th.sign(actions[:, 0]),
+        weights=th.ones(len(actions)),
+    )
 
 
 def settings(**changes: float) -> UpdateSettings:
-    return UpdateSettings(
-        **{"n_epochs": 10, "batch_size": 16, "clip_low": 0.2, "clip_high": 0.28, "kl_coef": 0.0, "anchor_coef": 0.0,
-           "target_kl": None, "max_grad_norm": 0.5} | changes
-    )  # fmt: skip
+    plain = UpdateSettings(
+        learning_rate=3e-3,
+        n_epochs=10,
+        batch_size=16,
+        clip_low=0.2,
+        clip_high=0.28,
+        kl_coef=0.0,
+        anchor_coef=0.0,
+        target_kl=None,
+        max_grad_norm=0.5,
+    )
+    return replace(plain, **changes)
 
 
 def moved(anchor_coef: float, anchored_at: th.Tensor | None) -> tuple[float, float, int]:
@@ -44,7 +60,7 @@ def moved(anchor_coef: float, anchored_at: th.Tensor | None) -> tuple[float, flo
     anchored = None if anchored_at is None else acted(policy, anchored_at, 2)
     before = [policy.get_distribution(where[:1]).mode().detach() for where in (HERE, THERE)]
     report = update_policy(
-        policy, kept, settings(anchor_coef=anchor_coef), rng=np.random.default_rng(0), anchored=anchored
+        policy, kept, settings(anchor_coef=anchor_coef), rng=np.random.default_rng(0), anchors=anchored
     )
     after = [policy.get_distribution(where[:1]).mode().detach() for where in (HERE, THERE)]
     here, there = (float((b - a).norm()) for a, b in zip(before, after, strict=True))
@@ -71,5 +87,5 @@ def test_a_penalty_on_the_divergence_shortens_the_step(coefficient: str) -> None
     policy = fresh_policy()
     kept = acted(policy, HERE, 1)
     before = policy.get_distribution(HERE[:1]).mode().detach()
-    update_policy(policy, kept, settings(**{coefficient: 10.0}), rng=np.random.default_rng(0), anchored=kept)
+    update_policy(policy, kept, settings(**{coefficient: 10.0}), rng=np.random.default_rng(0), anchors=kept)
     assert float((policy.get_distribution(HERE[:1]).mode().detach() - before).norm()) < free

@@ -21,14 +21,15 @@ from stable_baselines3.common.vec_env import (
 
 from dynaforge.sampling.dispatch import EpisodeDispatcher
 from dynaforge.sampling.job_routes import InProcessRoute, NativeRoute, StockRoute, choose_route, idle_action
-from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.sampler import Group, Job
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 LENGTHS = [3, 1, 4, 1, 5, 2, 2]
 
 
 def jobs(lengths=LENGTHS):
-    return [Job(i, i, 0, None, {"options": {"condition": Length(i, n)}}) for i, n in enumerate(lengths)]
+    conditions = [Length(i, n) for i, n in enumerate(lengths)]
+    return [Job(Group(i, None, c, {"options": {"condition": c}}), 0) for i, c in enumerate(conditions)]
 
 
 class StockVecEnv(DummyVecEnv):
@@ -43,7 +44,7 @@ def dummy(n, **kwargs):
 
 
 def run(dispatcher, todo):
-    """Run jobs; return episodes by job, and (job, observations it acted on)."""
+    """Run jobs; return the episode and the observations acted on, each by the job's group."""
     dispatcher.submit(todo)
     episodes, seen = {}, defaultdict(list)
     while dispatcher.busy:
@@ -52,8 +53,9 @@ def run(dispatcher, todo):
         assert not tick.rewards[~tick.acted].any()
         assert not tick.dones[~tick.acted].any()
         for row in np.flatnonzero(tick.acted):
-            seen[int(tick.jobs[row])].append(np.array(obs[row]).tolist())
-        episodes |= {episode.job.index: episode for episode in tick.finished}
+            seen[tick.jobs[row].group.index].append(np.array(obs[row]).tolist())
+        assert [job is not None for job in tick.jobs] == tick.acted.tolist()
+        episodes |= {episode.job.group.index: episode for episode in tick.finished}
     dispatcher.release()
     return episodes, seen
 

@@ -33,15 +33,15 @@ def test_without_strata_conditions_come_from_the_whole_range():
 def test_jobs_of_a_group_share_their_condition():
     sampler = StratifiedSampler(4, 3)
     jobs = sampler.jobs(sampler.draw(Recorder(), np.random.default_rng(0)))
-    assert sorted(job.index for job in jobs) == list(range(12))
-    assert all(job.index == 3 * job.group + job.rollout for job in jobs)
-    assert all(job.reset_kwargs is jobs[job.group].reset_kwargs for job in jobs)
-    assert all(job.stratum == job.group for job in jobs)
+    assert sorted((job.group.index, job.rollout) for job in jobs) == [(n, k) for n in range(4) for k in range(3)]
+    assert len(set(jobs)) == 12
+    assert all(job.group is jobs[job.group.index].group for job in jobs)
+    assert all(job.group.stratum == job.group.index for job in jobs)
 
 
 def test_any_few_jobs_in_a_row_are_spread_over_the_strata():
     sampler = StratifiedSampler(4, 3)
-    strata = [job.stratum for job in sampler.jobs(sampler.draw(Recorder(), np.random.default_rng(0)))]
+    strata = [job.group.stratum for job in sampler.jobs(sampler.draw(Recorder(), np.random.default_rng(0)))]
     assert strata == [0, 1, 2, 3] * 3
 
 
@@ -55,7 +55,8 @@ def test_the_generator_alone_decides_what_is_drawn():
 def test_replacements_come_from_the_strata_named_and_continue_the_numbering():
     groups = StratifiedSampler(4, 2).draw(Recorder(), np.random.default_rng(0), strata=[3, 1], first_index=4)
     assert [(group.index, group.condition[:2]) for group in groups] == [(4, (3, 4)), (5, (1, 4))]
-    assert [job.index for job in StratifiedSampler(4, 2).jobs(groups)] == [8, 10, 9, 11]
+    jobs = StratifiedSampler(4, 2).jobs(groups)
+    assert [(job.group.index, job.rollout) for job in jobs] == [(4, 0), (5, 0), (4, 1), (5, 1)]
 
 
 def test_equal_seeds_start_equal_episodes():
