@@ -58,6 +58,11 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
 
     The opening is commanded where it changes, and fixtures once a control step.
 
+    Args:
+        scene: Where.
+        condition: What fixes the episode.
+        commands: What `motor_commands` noted of it.
+
     Returns:
         CPU seconds, without the reset, and the state at the end; its time is not kept.
     """

@@ -125,11 +125,24 @@ def joints_and_links(client: Any, body: int) -> tuple[dict[str, int], dict[str, 
 def free_link(
     client: Any, body: int, link: int, *, lateral_friction: float, rolling_friction: float, spinning_friction: float
 ) -> None:
-    """Set a link's friction coefficients, and take away Bullet's damping of its motion."""
+    """Set a link's friction coefficients, and take away Bullet's damping of its motion.
+
+    Args:
+        client: The physics client.
+        body, link: Which link.
+        lateral_friction: Coulomb coefficient.
+        rolling_friction, spinning_friction: Torque arms, metres.
+    """
     client.changeDynamics(
-        body, link, lateralFriction=lateral_friction, rollingFriction=rolling_friction,
-        spinningFriction=spinning_friction, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
-    )  # fmt: skip
+        body,
+        link,
+        lateralFriction=lateral_friction,
+        rollingFriction=rolling_friction,
+        spinningFriction=spinning_friction,
+        linearDamping=0.0,
+        angularDamping=0.0,
+        jointDamping=0.0,
+    )
 
 
 def stiffen(client: Any, body: int) -> None:
@@ -159,6 +172,16 @@ def pose_of(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:
 
 def load_asset(client: Any, name: str, *, flags: int, fixed: bool, position: tuple[float, float, float]) -> int:
     """Load a URDF below `assets/` and keep it awake for good.
+
+    Args:
+        client: The physics client.
+        name: The file, as `asset_path` takes it.
+        flags: Of Bullet's `loadURDF`.
+        fixed: Whether its root link is bolted down.
+        position: Where, metres.
+
+    Returns:
+        The body.
 
     Raises:
         FileNotFoundError: No such asset.

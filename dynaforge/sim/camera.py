@@ -174,7 +174,13 @@ def see(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
 
 
 def take_picture(scene: BulletScene, camera: Camera, ee: Pose) -> NDArray[np.uint8]:
-    """Take a picture with shadows of the scene as it is now, as `SimScene.picture`; arguments as for `see`."""
+    """Take a picture with shadows of the scene as it is now, as `SimScene.picture`.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        ee: `T_world_ee` now, which a camera in the hand moves with.
+    """
     from dynaforge.sim.bullet import pybullet as p
 
     if camera.in_hand:

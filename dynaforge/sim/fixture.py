@@ -46,16 +46,25 @@ class Fixture:
         client, spec = self._client, self.spec
         for link in range(-1, client.getNumJoints(body)):
             free_link(
-                client, body, link, lateral_friction=spec.lateral_friction, rolling_friction=spec.rolling_friction,
+                client,
+                body,
+                link,
+                lateral_friction=spec.lateral_friction,
+                rolling_friction=spec.rolling_friction,
                 spinning_friction=0.0,
-            )  # fmt: skip
+            )
         stiffen(client, body)
         self._efforts = {name: client.getJointInfo(body, index)[10] for name, index in joints.items()}
         if spec.spring is not None:
             client.setJointMotorControl2(
-                body, joints[spec.spring.joint], p.POSITION_CONTROL, targetPosition=0.0, positionGain=0.2,
-                velocityGain=1.0, force=spec.spring.force,
-            )  # fmt: skip
+                body,
+                joints[spec.spring.joint],
+                p.POSITION_CONTROL,
+                targetPosition=0.0,
+                positionGain=0.2,
+                velocityGain=1.0,
+                force=spec.spring.force,
+            )
 
     def place(self, placement: Placement | None) -> None:
         """Put one variant where a condition wants it; None leaves all of them waiting."""
