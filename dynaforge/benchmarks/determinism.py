@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from dynaforge.benchmarks.episodes import (
+    HashingEnv,
     TrajectoryHash,
-    Witness,
     bench_conditions,
     hashes_over_histories,
     run_planner_only,
@@ -89,7 +89,7 @@ def hashes_in_vector(task: str, conditions: list[Condition], *, n_envs: int, n_w
         For each condition the hashes of all envs.
     """
     space = get_task(task).conditions
-    env = SharedMemoryVecEnv([partial(Witness, task)] * n_envs, n_workers=n_workers)
+    env = SharedMemoryVecEnv([partial(HashingEnv, task)] * n_envs, n_workers=n_workers)
     try:
         env.park_when_done(True)
         results = []

@@ -90,7 +90,7 @@ def state_arrays(state: SceneState) -> list[Array]:
     return arrays
 
 
-class Witness(gym.Wrapper[Any, Any, Any, Any]):
+class HashingEnv(gym.Wrapper[Any, Any, Any, Any]):
     """A residual env that can tell the hash of its running episode, and its process.
 
     Args:
@@ -126,17 +126,17 @@ def hashes_over_histories(task: str, conditions: list[Condition]) -> list[dict[s
     """
     results = []
     for condition in conditions:
-        env = Witness(task)
+        env = HashingEnv(task)
         hashes = {}
         for history in HISTORIES:
-            _live(env, history, condition)
+            _simulate_history(env, history, condition)
             hashes[history] = _run_seeded(env, condition)
         env.close()
         results.append(hashes)
     return results
 
 
-def _live(env: Witness, history: str, condition: Condition) -> None:
+def _simulate_history(env: HashingEnv, history: str, condition: Condition) -> None:
     """Simulate one of `HISTORIES` in this env."""
     inner, space = env.residual_env, env.residual_env.task.conditions
     rng = np.random.default_rng(condition.seed + 1)
@@ -156,7 +156,7 @@ def _live(env: Witness, history: str, condition: Condition) -> None:
         _run_seeded(env, space.draw(rng))
 
 
-def _run_seeded(env: Witness, condition: Condition) -> str:
+def _run_seeded(env: HashingEnv, condition: Condition) -> str:
     env.reset(options={"condition": condition})
     for action in seeded_actions(env.action_space, condition):
         _, _, done, _, _ = env.step(action)
@@ -165,7 +165,7 @@ def _run_seeded(env: Witness, condition: Condition) -> str:
     return env.trajectory_hash()
 
 
-class Busy(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class BusyLoopEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Burns a known processor time a step, and nothing else: what remains is the cost of vectorising.
 
     Args:

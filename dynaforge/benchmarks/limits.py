@@ -21,7 +21,7 @@ from dynaforge.sim.robot import RobotDescription
 from dynaforge.tasks import Task
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
-DENSE = 0.004  # radians of the fastest joint between dense collision checks; the planner's own stand 0.015 apart
+CHECK_SPACING = 0.004  # radians of the fastest joint between collision checks; the planner's own are 0.015 apart
 ROUNDING = 1e-9
 STROKE_SECONDS = 1.2  # for a full stroke of 40 mm a finger at 50 mm/s, which takes 0.8 s
 FURNISHED = (
@@ -83,7 +83,7 @@ def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Excess:
+class LimitUse:
     """How close a trajectory comes to the limits; 1 is the limit.
 
     Attributes:
@@ -107,13 +107,13 @@ class Excess:
         return kept and self.collisions == 0
 
 
-def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: CollisionModel) -> Excess:
+def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: CollisionModel) -> LimitUse:
     """Check a trajectory as the arm is commanded along it: straight lines between its samples."""
     q, dq, ddq, dt = trajectory.q, trajectory.dq, trajectory.ddq, trajectory.dt
     slopes, changes = np.diff(q, axis=0) / dt, np.diff(dq, axis=0) / dt
     hits = [collision.in_collision(point) for point in _dense(q)]
     first_free = hits.index(False) if hits[0] and False in hits else 0
-    return Excess(
+    return LimitUse(
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
         velocity=float((np.abs(np.concatenate((dq, slopes))) / robot.dq_max).max()),
         acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),
@@ -125,11 +125,11 @@ def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: Col
 def _dense(q: Array) -> Iterator[Array]:
     yield q[0]
     for start, end in pairwise(q):
-        n = max(1, math.ceil(float(np.abs(end - start).max()) / DENSE))
+        n = max(1, math.ceil(float(np.abs(end - start).max()) / CHECK_SPACING))
         yield from start + np.arange(1, n + 1)[:, None] / n * (end - start)
 
 
-class KeepingPlanner(GlobalPlanner):
+class RecordingPlanner(GlobalPlanner):
     """A global planner that keeps every trajectory it returns."""
 
     def __init__(self, robot: RobotDescription, collision: CollisionModel, *, dt: float) -> None:
@@ -153,20 +153,20 @@ def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
     """
     world = World(task)
     robot, dt = world.scene.robot, task.scene.control_dt
-    planner = KeepingPlanner(robot, CollisionModel(robot), dt=dt)
+    planner = RecordingPlanner(robot, CollisionModel(robot), dt=dt)
     executor = PhaseExecutor(task, planner, control_dt=dt)
     for condition in tracked(bench_conditions(task, n), "planner in episodes", total=n):
         run_planner_only(world, executor, condition)
     world.close()
     found = {"episodes": (planner.kept, 0, planner.collision)}
     for name, fixtures in (("bare table", ()), ("furnished table", FURNISHED)):
-        planner = KeepingPlanner(robot, CollisionModel(robot, fixtures=fixtures), dt=dt)
+        planner = RecordingPlanner(robot, CollisionModel(robot, fixtures=fixtures), dt=dt)
         failures = _random_goals(planner, n, np.random.default_rng(len(fixtures)))
         found[name] = (planner.kept, failures, planner.collision)
     return [_planner_figure(found, robot)]
 
 
-def _random_goals(planner: KeepingPlanner, n: int, rng: np.random.Generator) -> int:
+def _random_goals(planner: RecordingPlanner, n: int, rng: np.random.Generator) -> int:
     """Plan to n random goals in a chain; return how many have no plan."""
     still = np.zeros(7)
     q, dq, ddq, failures = planner.robot.q_ready, still, still, 0
@@ -187,7 +187,7 @@ def _planner_figure(
     found: dict[str, tuple[list[JointTrajectory], int, CollisionModel]], robot: RobotDescription
 ) -> Figure:
     raw: dict[str, Any] = {}
-    every: list[Excess] = []
+    every: list[LimitUse] = []
     for name, (trajectories, failures, collision) in found.items():
         results = [examine(t, robot, collision) for t in tracked(trajectories, "dense check", total=len(trajectories))]
         every += results

@@ -16,7 +16,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynaforge.benchmarks.episodes import Busy, Witness
+from dynaforge.benchmarks.episodes import BusyLoopEnv, HashingEnv
 from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.registration import env_id
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
@@ -43,8 +43,8 @@ def vectorised(
         n_steps: Steps of the vectorised env a round.
     """
     size = f"{n_envs} envs, {n_workers} workers"
-    overheads, _ = compare(partial(Busy, 2e-4), "overhead", rounds, n_envs, n_workers, n_steps)
-    _, gains = compare(partial(Busy, 1e-3), "gain, 1 ms env", rounds, n_envs, n_workers, n_steps)
+    overheads, _ = compare(partial(BusyLoopEnv, 2e-4), "overhead", rounds, n_envs, n_workers, n_steps)
+    _, gains = compare(partial(BusyLoopEnv, 1e-3), "gain, 1 ms env", rounds, n_envs, n_workers, n_steps)
     make = partial(gym.make, env_id(task.name), gate_mode="mask")
     own_costs, own_gains = compare(make, f"gain, {task.name}", rounds, n_envs, n_workers, n_steps)
     micro = [1e6 * value for value in overheads]
@@ -112,7 +112,7 @@ class _Timed:
     def __call__(self) -> gym.Env[Any, Any]:
         env = self._make()
         if not hasattr(env.unwrapped, "processor_time"):
-            env.unwrapped.processor_time = partial(Busy.processor_time, None)  # type: ignore[attr-defined, arg-type]
+            env.unwrapped.processor_time = partial(BusyLoopEnv.processor_time, None)  # type: ignore[attr-defined, arg-type]
         return env
 
 
@@ -134,7 +134,7 @@ def worker_killed(task: Task, *, rounds: int = 3, n_envs: int = 4, n_workers: in
 
 
 def _kill_one(task: str, n_envs: int, n_workers: int) -> dict[str, Any]:
-    env = SharedMemoryVecEnv([partial(Witness, task, "mask")] * n_envs, n_workers=n_workers)
+    env = SharedMemoryVecEnv([partial(HashingEnv, task, "mask")] * n_envs, n_workers=n_workers)
     killed_at: list[float] = []
     try:
         env.seed(0)

@@ -47,14 +47,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
-        return _tell(name, error, status=2)
+        return _print_error(name, error, status=2)
     except RuntimeError as error:
         from dynaforge.generators import GaveUp, NoWorkers  # imported already, if it is one of them
         from dynaforge.sampling.vector_errors import WorkerDied
 
         if not isinstance(error, (GaveUp, NoWorkers, WorkerDied)):
             raise
-        return _tell(name, error, status=1)
+        return _print_error(name, error, status=1)
 
 
 def _zoo(arguments: Sequence[str]) -> int:
@@ -84,7 +84,7 @@ def _sigterm_as_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _tell(name: str, error: Exception, *, status: int) -> int:
+def _print_error(name: str, error: Exception, *, status: int) -> int:
     """Say in one line on stderr what is wrong; returns the status."""
     message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
     print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)

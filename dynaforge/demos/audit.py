@@ -13,12 +13,12 @@ from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim import RobotDescription, franka
 
-FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
-PUSHED = 1.5  # m/s that turning and closing fingers may add to an object within a control step
-SLACK = 0.005  # metres
+CONTACT_RANGE = 0.25  # metres from the hand: nothing of the robot touches an object there
+FINGER_SPEED_GAIN = 1.5  # m/s that turning and closing fingers may add to an object within a control step
+POSITION_TOLERANCE = 0.005  # metres
 GRAVITY = 9.81
-DEEP = 0.005  # metres of penetration that an impact may make
-LASTING = 6  # control steps that a deep contact may last: an object pressed down between hand and table
+DEEP_CONTACT = 0.005  # metres of penetration that an impact may make
+DEEP_CONTACT_STEPS = 6  # control steps that a deep contact may last: an object pressed down between hand and table
 MARGIN = 1.01
 
 
@@ -76,15 +76,15 @@ def _objects(episode: Episode) -> Iterator[Flag]:
         place = steps[key]
         speed = np.linalg.norm(velocity, axis=1)
         away = np.linalg.norm(place - hand, axis=1)
-        near = np.minimum(away[1:], away[:-1]) < FAR
+        near = np.minimum(away[1:], away[:-1]) < CONTACT_RANGE
         way = np.linalg.norm(np.diff(place, axis=0), axis=1)
-        reach = (np.maximum(speed[1:], speed[:-1]) + np.where(near, PUSHED, 0.0)) * dt + SLACK
+        reach = (np.maximum(speed[1:], speed[:-1]) + np.where(near, FINGER_SPEED_GAIN, 0.0)) * dt + POSITION_TOLERANCE
         yield from _flag(way > reach, f"{name} jumps {{:.3f}} m, further than its speed carries it,", way)
         # Out of the hand's and every fixture's reach, only falling gives speed; twice, for impacts between two steps.
         alone = ~near & _far_from(episode, place, ("fixture",))
         energy = 0.5 * speed**2 + GRAVITY * place[:, 2]
         gained = np.diff(energy)
-        allowed = 1e-3 + 2.0 * GRAVITY * SLACK
+        allowed = 1e-3 + 2.0 * GRAVITY * POSITION_TOLERANCE
         yield from _flag(alone & (gained > allowed), f"{name} gains {{:.2f}} J/kg with nothing near it", gained)
 
 
@@ -94,7 +94,7 @@ def _far_from(episode: Episode, place: Array, kinds: tuple[str, ...]) -> NDArray
     for key, column in episode.steps.items():
         if key.startswith(kinds) and key.endswith("/position"):
             distance = np.linalg.norm(place - column, axis=1)
-            far &= np.minimum(distance[1:], distance[:-1]) > FAR
+            far &= np.minimum(distance[1:], distance[:-1]) > CONTACT_RANGE
     return far
 
 
@@ -104,7 +104,7 @@ def _arm(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
     if "q" in steps:
         q = steps["q"]
         beyond = np.maximum(robot.q_lower - q, q - robot.q_upper).max(axis=1)
-        yield from _flag(beyond > SLACK, "a joint is {:.3f} rad beyond its limit", beyond)
+        yield from _flag(beyond > POSITION_TOLERANCE, "a joint is {:.3f} rad beyond its limit", beyond)
     if "dq" in steps:
         share = (np.abs(steps["dq"]) / robot.dq_max).max(axis=1)
         yield from _flag(share > robot.stop_speed, "a joint moves at {:.2f} of its speed limit", share)
@@ -133,11 +133,11 @@ def _depths(episode: Episode, replayer: Replayer) -> Iterator[Flag]:
     for pair in depths[0]:
         depth = np.array([row[pair] for row in depths])
         run, longest, end = 0, 0, 0
-        for step, deep in enumerate(depth > DEEP):
+        for step, deep in enumerate(depth > DEEP_CONTACT):
             run = run + 1 if deep else 0
             if run > longest:
                 longest, end = run, step
-        if longest > LASTING:
+        if longest > DEEP_CONTACT_STEPS:
             worst = 1000 * depth.max()
             yield Flag(
                 end - longest + 1, f"{' and '.join(pair)} overlap by up to {worst:.0f} mm for {longest} steps", 1

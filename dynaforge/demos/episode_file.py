@@ -83,7 +83,7 @@ def _seal(body: bytes) -> bytes:
     return line.ljust(_USER_BLOCK, b"\0")
 
 
-def check_seal(path: str | Path, data: bytes, *, again: str = "collect") -> None:
+def check_seal(path: str | Path, data: bytes, *, remedy: str = "collect") -> None:
     """Check every byte of a file against its user block.
 
     Raises:
@@ -91,9 +91,9 @@ def check_seal(path: str | Path, data: bytes, *, again: str = "collect") -> None
     """
     block, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
     if not block.startswith(_MAGIC):
-        raise DamagedFileError(path, "it does not begin as an episode file", again=again)
+        raise DamagedFileError(path, "it does not begin as an episode file", remedy=remedy)
     if block != _seal(body):
-        raise DamagedFileError(path, "its bytes do not match the hash they were written with", again=again)
+        raise DamagedFileError(path, "its bytes do not match the hash they were written with", remedy=remedy)
 
 
 def _encode(episode: Episode) -> bytes:

@@ -24,7 +24,7 @@ from dynaforge.demos.untrusted import (
 )
 
 SETTINGS = "settings.json"
-AGAIN = "render"  # how a damaged file is made again
+REMEDY = "render"  # how a damaged file is made again
 LONGEST = 2**32  # bytes of the observations of an episode, pressed or not, that are read
 Layout = Mapping[str, tuple[tuple[int, ...], str]]
 """Shape of one control step and type, by the name of an array."""
@@ -72,21 +72,23 @@ def read_observations(
         DamagedFileError: The file was altered or cut off, holds something else, or is of another recording or other
             settings.
     """
-    data = read_file(path, at_most=LONGEST, again=AGAIN)
-    check_seal(path, data, again=AGAIN)
+    data = read_file(path, at_most=LONGEST, remedy=REMEDY)
+    check_seal(path, data, remedy=REMEDY)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             check_links(file)
             recording, rendered_with = read_text(file, "content_hash"), read_text(file, "settings")
             if of is not None and of.content_hash() != recording:
-                raise DamagedFileError(path, "it was rendered from another recording", again=AGAIN)
+                raise DamagedFileError(path, "it was rendered from another recording", remedy=REMEDY)
             if settings is not None and settings != rendered_with:
-                raise DamagedFileError(path, f"it was rendered with other settings than {SETTINGS} holds", again=AGAIN)
+                raise DamagedFileError(
+                    path, f"it was rendered with other settings than {SETTINGS} holds", remedy=REMEDY
+                )
             return _read_arrays(file, layout, len(of) if of is not None else None)
     except DamagedFileError:
         raise
     except MALFORMED as error:
-        raise DamagedFileError(path, f"its content cannot be read ({printable(error)})", again=AGAIN) from error
+        raise DamagedFileError(path, f"its content cannot be read ({printable(error)})", remedy=REMEDY) from error
 
 
 def _read_arrays(file: Any, layout: Layout | None, length: int | None) -> dict[str, NDArray[Any]]:

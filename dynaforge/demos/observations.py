@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX
-from dynaforge.demos.observation_file import AGAIN, SETTINGS, Layout, read_observations, write_observations
+from dynaforge.demos.observation_file import REMEDY, SETTINGS, Layout, read_observations, write_observations
 from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_of, parse_json, printable, read_file
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
@@ -234,14 +234,14 @@ class ObservationFolder:
     def __init__(self, path: str | Path, settings: ObservationSettings | None = None) -> None:
         self.path = Path(path)
         if (kind := kind_of(self.path)) not in ("", "a folder"):
-            raise DamagedFileError(self.path, f"it is {kind}, not a folder", again=AGAIN)
+            raise DamagedFileError(self.path, f"it is {kind}, not a folder", remedy=REMEDY)
         marker = self.path / SETTINGS
         if not kind_of(marker):
             if settings is None:
                 raise FileNotFoundError(f"{path} holds no observations; `dynaforge render` makes them.")
             self.path.mkdir(parents=True, exist_ok=True)
             atomic_write(marker, json.dumps(settings.to_dict(), indent=1).encode() + b"\n")
-        text = read_file(marker, at_most=NOTES, again=f"{AGAIN} everything")
+        text = read_file(marker, at_most=NOTES, remedy=f"{REMEDY} everything")
         self.settings = _settings(marker, text)
         if settings is not None and settings != self.settings:
             raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
@@ -278,5 +278,5 @@ def _settings(path: Path, text: bytes) -> ObservationSettings:
         return ObservationSettings.from_dict(parse_json(text))
     except MALFORMED as error:
         raise DamagedFileError(
-            path, f"it holds no settings ({printable(error)})", again=f"{AGAIN} everything"
+            path, f"it holds no settings ({printable(error)})", remedy=f"{REMEDY} everything"
         ) from error

@@ -26,7 +26,7 @@ ABOUT = "pack.json"
 ENDS = "episode_ends"
 LONGEST = 10_000  # frames that a window may reach to either side: no episode is as long
 MOST_EPISODES = 10**7
-AGAIN = "write the pack"  # how a damaged file is made again
+REMEDY = "write the pack"  # how a damaged file is made again
 
 
 class Pack:
@@ -58,10 +58,10 @@ class Pack:
         lengths = np.diff(self.episode_ends, prepend=0)
         frames = {name: len(array) for name, array in self.arrays.items()}
         if self.episode_ends.dtype != np.int64 or not len(lengths) or (lengths <= 0).any():
-            raise DamagedFileError(self.folder / f"{ENDS}.npy", "it is no list of increasing ends", again=AGAIN)
+            raise DamagedFileError(self.folder / f"{ENDS}.npy", "it is no list of increasing ends", remedy=REMEDY)
         if odd := [name for name, n in frames.items() if n != self.episode_ends[-1]]:
             reason = f"it holds {frames[odd[0]]} frames, the episodes {self.episode_ends[-1]}"
-            raise DamagedFileError(self.folder / f"{odd[0]}.npy", reason, again=AGAIN)
+            raise DamagedFileError(self.folder / f"{odd[0]}.npy", reason, remedy=REMEDY)
         self._first = np.repeat(self.episode_ends - lengths, lengths)
         self._last = np.repeat(self.episode_ends - 1, lengths)
 
@@ -195,16 +195,16 @@ def _about(folder: Path) -> tuple[tuple[str, ...], list[str]]:
     """Return the names of an action's components, and of the arrays."""
     path = folder / ABOUT
     try:
-        data = read_json(path, again=AGAIN)
+        data = read_json(path, remedy=REMEDY)
     except FileNotFoundError:
         raise FileNotFoundError(f"{printable(folder)} holds no pack.") from None
     actions, arrays = (data.get("action_names"), data.get("arrays")) if isinstance(data, dict) else (None, None)
     if not (
         isinstance(actions, list) and isinstance(arrays, list) and all(isinstance(n, str) for n in actions + arrays)
     ):
-        raise DamagedFileError(path, "it does not describe a pack", again=AGAIN)
+        raise DamagedFileError(path, "it does not describe a pack", remedy=REMEDY)
     if odd := [name for name in arrays if not re.fullmatch(r"[A-Za-z_]+", name)]:
-        raise DamagedFileError(path, f"{odd[0]!r:.80} is no name of an array", again=AGAIN)
+        raise DamagedFileError(path, f"{odd[0]!r:.80} is no name of an array", remedy=REMEDY)
     return tuple(actions), arrays
 
 
@@ -212,11 +212,11 @@ def _open(folder: Path, name: str) -> NDArray[Any]:
     """Map an array into memory, without reading it."""
     path = folder / f"{name}.npy"
     if (kind := kind_of(path)) != "a file":
-        raise DamagedFileError(path, f"it is {kind or 'missing'}", again=AGAIN)
+        raise DamagedFileError(path, f"it is {kind or 'missing'}", remedy=REMEDY)
     try:
         array: NDArray[Any] = np.load(path, mmap_mode="r")
     except MALFORMED as error:
-        raise DamagedFileError(path, f"it is no array ({printable(error)})", again=AGAIN) from error
+        raise DamagedFileError(path, f"it is no array ({printable(error)})", remedy=REMEDY) from error
     if array.ndim < 1 or array.dtype.kind not in "biuf":
-        raise DamagedFileError(path, "it is no array of numbers", again=AGAIN)
+        raise DamagedFileError(path, "it is no array of numbers", remedy=REMEDY)
     return array

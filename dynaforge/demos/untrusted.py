@@ -37,18 +37,18 @@ class DamagedFileError(ValueError):
     Args:
         path: The file.
         reason: What is wrong with it.
-        again: How it is made again, once deleted.
+        remedy: How it is made again, once deleted.
     """
 
-    def __init__(self, path: str | Path, reason: str, *, again: str = "collect") -> None:
-        hint = f"Restore it from a copy, or delete it and {again} again."
+    def __init__(self, path: str | Path, reason: str, *, remedy: str = "collect") -> None:
+        hint = f"Restore it from a copy, or delete it and {remedy} again."
         super().__init__(f"{printable(path)} is damaged: {reason}. {hint}")
         self.path = Path(path)
         self.reason = reason
-        self.again = again
+        self.remedy = remedy
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(DamagedFileError, again=self.again), (self.path, self.reason)
+        return partial(DamagedFileError, remedy=self.remedy), (self.path, self.reason)
 
 
 def printable(text: object) -> str:
@@ -66,58 +66,58 @@ def kind_of(path: Path) -> str:
         return "a link to itself" if path.is_symlink() else f"unreadable ({error.strerror})"
 
 
-def read_file(path: Path, *, at_most: int, again: str = "collect") -> bytes:
+def read_file(path: Path, *, at_most: int, remedy: str = "collect") -> bytes:
     """Read a whole regular file.
 
     Args:
         path: The file, or a link to it.
         at_most: Bytes that are read; a longer file is refused before anything is.
-        again: How it is made again, for the message.
+        remedy: How it is made again, for the message.
 
     Raises:
         FileNotFoundError: There is nothing of this name.
         DamagedFileError: It is no file, it cannot be read, or it is too long.
     """
-    with open_file(path, at_most=at_most, again=again) as file:
+    with open_file(path, at_most=at_most, remedy=remedy) as file:
         try:
             return file.read()
         except MALFORMED as error:
-            raise DamagedFileError(path, f"it cannot be read ({error})", again=again) from error
+            raise DamagedFileError(path, f"it cannot be read ({error})", remedy=remedy) from error
 
 
 @contextlib.contextmanager
-def open_file(path: Path, *, at_most: int, again: str = "collect") -> Iterator[BinaryIO]:
+def open_file(path: Path, *, at_most: int, remedy: str = "collect") -> Iterator[BinaryIO]:
     """Open a regular file for reading bytes; refusals as in `read_file`."""
     kind = kind_of(path)
     if not kind:
         raise FileNotFoundError(f"There is no {printable(path)}.")
     if kind != "a file":  # looked at before opening, since opening a device may do something
-        raise DamagedFileError(path, f"it is {kind}, not a file", again=again)
+        raise DamagedFileError(path, f"it is {kind}, not a file", remedy=remedy)
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except OSError as error:
-        raise DamagedFileError(path, f"it cannot be read ({error.strerror})", again=again) from error
+        raise DamagedFileError(path, f"it cannot be read ({error.strerror})", remedy=remedy) from error
     with os.fdopen(descriptor, "rb") as file:
         about = os.fstat(descriptor)
         if not stat.S_ISREG(about.st_mode):
-            raise DamagedFileError(path, "it is no file any more", again=again)
+            raise DamagedFileError(path, "it is no file any more", remedy=remedy)
         if about.st_size > at_most:
             reason = f"it is {about.st_size / 1e6:.0f} MB long, where {at_most / 1e6:.0f} MB are the most that is read"
-            raise DamagedFileError(path, reason, again=again)
+            raise DamagedFileError(path, reason, remedy=remedy)
         yield file
 
 
-def read_json(path: Path, *, again: str = "collect") -> Any:
+def read_json(path: Path, *, remedy: str = "collect") -> Any:
     """Read a JSON file.
 
     Raises:
         FileNotFoundError, DamagedFileError: As `read_file`, or it is no JSON.
     """
-    data = read_file(path, at_most=NOTES, again=again)
+    data = read_file(path, at_most=NOTES, remedy=remedy)
     try:
         return parse_json(data)
     except ValueError as error:
-        raise DamagedFileError(path, f"it is no JSON ({error})", again=again) from error
+        raise DamagedFileError(path, f"it is no JSON ({error})", remedy=remedy) from error
 
 
 def parse_json(data: bytes | str) -> Any:
@@ -161,13 +161,13 @@ def _finite(text: str) -> float:
     return value
 
 
-def files_in(folder: Path, suffix: str = "", *, again: str = "collect") -> list[Path]:
+def files_in(folder: Path, suffix: str = "", *, remedy: str = "collect") -> list[Path]:
     """Return all that lies in a folder, sorted by name, whatever it is; nothing where the folder is missing.
 
     Args:
         folder: Where to look.
         suffix: How the names are to end.
-        again: How it is made again, for the message.
+        remedy: How it is made again, for the message.
 
     Raises:
         DamagedFileError: It is no folder, or cannot be read.
@@ -176,11 +176,11 @@ def files_in(folder: Path, suffix: str = "", *, again: str = "collect") -> list[
     if not kind:
         return []
     if kind != "a folder":
-        raise DamagedFileError(folder, f"it is {kind}, not a folder", again=again)
+        raise DamagedFileError(folder, f"it is {kind}, not a folder", remedy=remedy)
     try:
         return sorted(folder / name for name in os.listdir(folder) if name.endswith(suffix))
     except OSError as error:
-        raise DamagedFileError(folder, f"it cannot be read ({error.strerror})", again=again) from error
+        raise DamagedFileError(folder, f"it cannot be read ({error.strerror})", remedy=remedy) from error
 
 
 def check_links(file: Any) -> None:

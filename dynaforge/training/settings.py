@@ -12,10 +12,10 @@ import yaml
 from dynaforge.registration import TASK_FILES, env_id, task_named
 from dynaforge.tasks import get_task
 
-LIKE = "DynaForge/Can-v0"
-"""The env whose settings a task takes that no file lists: one of your own."""
+SETTINGS_FOR_OWN_TASKS = "DynaForge/Can-v0"
+"""The env whose settings a user-defined task takes when no file lists it."""
 
-NOT_THE_MODEL = ("n_timesteps", "n_envs", "policy")
+RUN_SETTINGS = ("n_timesteps", "n_envs", "policy")
 
 
 def config_file(algo: str) -> Path | None:
@@ -27,11 +27,12 @@ def config_file(algo: str) -> Path | None:
 def entry_of(listed: Mapping[str, Any], env: str) -> str | None:
     """Return the name of the entry that an env takes from a hyperparameter file, or None where there is none.
 
-    Its own; else, for the residual env of a task of your own, that of `LIKE`; else the default for all envs.
+    Its own; else, for the residual env of a user-defined task, that of `SETTINGS_FOR_OWN_TASKS`; else the default of
+    the file for all envs.
     """
     task = task_named(env)
     own = task in TASK_FILES and env == env_id(task)
-    return next((name for name in (env, LIKE if own else env, "default") if name in listed), None)
+    return next((name for name in (env, SETTINGS_FOR_OWN_TASKS if own else env, "default") if name in listed), None)
 
 
 def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -53,7 +54,9 @@ def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = No
     env = env_id(get_task(task).name)
     entry = entry_of(listed, env)
     if entry in (None, "default"):
-        raise ValueError(f"{path} lists neither {env!r} nor {LIKE!r}, which stands in for tasks of your own.")
+        raise ValueError(
+            f"{path} lists neither {env!r} nor {SETTINGS_FOR_OWN_TASKS!r}, which stands in for tasks of your own."
+        )
     changes = changes or {}
     left_out = {name for name, value in changes.items() if value is None}
     return {name: value for name, value in (listed[entry] | dict(changes)).items() if name not in left_out}
@@ -78,7 +81,7 @@ def recommended(env: str, algo: str = "frontier_grpo", **changes: Any) -> dict[s
 
 def model_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return what of an entry of zoo_configs a model's constructor takes, besides policy and env."""
-    return {name: _scheduled(value) for name, value in settings.items() if name not in NOT_THE_MODEL}
+    return {name: _scheduled(value) for name, value in settings.items() if name not in RUN_SETTINGS}
 
 
 def _scheduled(value: Any) -> Any:

@@ -14,7 +14,7 @@ from dynaforge.benchmarks import speed as bench_speed
 from dynaforge.benchmarks import training as bench_training
 from dynaforge.benchmarks import vector as bench_vector
 from dynaforge.benchmarks.episodes import (
-    Busy,
+    BusyLoopEnv,
     TrajectoryHash,
     bench_conditions,
     hashes_over_histories,
@@ -295,7 +295,7 @@ def test_what_vectorising_wastes_is_what_the_overhead_says(monkeypatch):
         return step(env, actions)
 
     monkeypatch.setattr(SharedMemoryVecEnv, "step", wasteful)
-    overheads, gains = bench_vector.compare(lambda: Busy(1e-4), "test", 2, 2, 1, 10)
+    overheads, gains = bench_vector.compare(lambda: BusyLoopEnv(1e-4), "test", 2, 2, 1, 10)
     assert len(overheads) == len(gains) == 2
     assert all(1e-3 <= value < 2e-3 for value in overheads)  # 2 ms a step of two envs, and its own cost
     assert all(value > 0.0 for value in gains)

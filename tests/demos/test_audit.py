@@ -99,7 +99,7 @@ def test_jerk_counts_too(can: Episode) -> None:
 
 
 def test_a_lasting_overlap_is_flagged(can: Episode, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audit, "DEEP", -1.0)  # so that all that touches, and all that does not, is too deep
+    monkeypatch.setattr(audit, "DEEP_CONTACT", -1.0)  # so that all that touches, and all that does not, is too deep
     replayer = Replayer(get_task("can"))
     flags = audit.audit(can, replayer=replayer)
     replayer.close()

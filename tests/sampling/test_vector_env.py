@@ -538,7 +538,7 @@ def test_ppo_trains_on_it(make):
     assert model.num_timesteps >= 200
 
 
-class Busy(gym.Env):
+class BusyLoopEnv(gym.Env):
     """Keeps its core busy for a known time a step."""
 
     observation_space = gym.spaces.Box(-1, 1, (64,), np.float32)
@@ -566,14 +566,14 @@ def measure_overhead(*, n_envs=16, n_workers=2, step_seconds=1e-3, n_steps=150):
     Returns:
         Processor time (main process and workers) a env-step beyond the bare loop's, s; throughput over one env's.
     """
-    bare, actions = Busy(step_seconds), np.zeros((n_envs, 7), np.float32)
+    bare, actions = BusyLoopEnv(step_seconds), np.zeros((n_envs, 7), np.float32)
     begin, processor = time.perf_counter(), time.process_time()
     for k in range(n_steps * n_envs // n_workers):
         bare.step(actions[k % n_envs])
     alone = (time.perf_counter() - begin) / (n_steps * n_envs // n_workers)
     own = (time.process_time() - processor) / (n_steps * n_envs // n_workers)
 
-    env = SharedMemoryVecEnv([lambda: Busy(step_seconds)] * n_envs, n_workers=n_workers)
+    env = SharedMemoryVecEnv([lambda: BusyLoopEnv(step_seconds)] * n_envs, n_workers=n_workers)
     one_per_worker = [share.start for share in env._pool.shares]
 
     def spent():

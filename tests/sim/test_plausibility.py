@@ -12,11 +12,11 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
 from dynaforge.registration import ENV_NAMES
 
-DEEP = 0.005  # metres of penetration that an impact may make
+DEEP_CONTACT = 0.005  # metres of penetration that an impact may make
 LONGEST = 3  # control steps that a deep contact may last under the planner: an impact and its rebound
 LONGEST_WILD = 6  # and under random residuals at full scale, which press objects down between hand and table
-PUSHED = 1.5  # m/s that turning and closing fingers may add to an object, whatever the speed of the hand
-FAR = 0.25  # metres from the hand: nothing of the robot touches an object there
+FINGER_SPEED_GAIN = 1.5  # m/s that turning and closing fingers may add to an object, whatever the speed of the hand
+CONTACT_RANGE = 0.25  # metres from the hand: nothing of the robot touches an object there
 
 
 class Watch:
@@ -72,7 +72,7 @@ def test_nothing_stays_inside_anything_else(episodes: list[Watch]) -> None:
     longest = LONGEST_WILD if wild else LONGEST
     for watch in episodes:
         for pair in watch.depths[0]:
-            runs = [len(list(run)) for deep, run in groupby(d[pair] > DEEP for d in watch.depths) if deep]
+            runs = [len(list(run)) for deep, run in groupby(d[pair] > DEEP_CONTACT for d in watch.depths) if deep]
             assert max(runs, default=0) <= longest, pair
 
 
@@ -87,7 +87,9 @@ def test_nothing_jumps(episodes: list[Watch]) -> None:
                 near = min(
                     np.linalg.norm(s.ee.position - s.objects[name].pose.position) for s in (step.before, step.after)
                 )
-                struck = PUSHED if near < FAR else 0.0  # and may be struck and stopped again within a control step
+                struck = (
+                    FINGER_SPEED_GAIN if near < CONTACT_RANGE else 0.0
+                )  # and may be struck and stopped again within a control step
                 assert way <= (speed + struck) * watch.scene.spec.control_dt + 0.005
 
 
@@ -102,7 +104,9 @@ def test_no_object_is_faster_than_launch_fall_and_hand_can_make_it(episodes: lis
                 top = max(top, body.pose.position[2])  # what the hand has lifted may fall
                 fallen = np.sqrt(2 * 9.81 * max(0.0, top - body.pose.position[2]))
                 hand = max(hand, np.linalg.norm(step.after.ee.position - step.before.ee.position) / dt)
-                pushed = max(PUSHED, 2 * hand)  # what a heavy hand strikes leaves with twice its speed at most
+                pushed = max(
+                    FINGER_SPEED_GAIN, 2 * hand
+                )  # what a heavy hand strikes leaves with twice its speed at most
                 assert np.linalg.norm(body.velocity) <= np.linalg.norm(launched.velocity) + pushed + fallen
 
 
@@ -112,7 +116,7 @@ def test_only_the_hand_gives_an_object_speed_on_the_table(episodes: list[Watch])
         for name in step.before.on_table:
             before, after = step.before.objects[name], step.after.objects[name]
             hand = (step.before.ee.position, step.after.ee.position)
-            away = min(np.linalg.norm(place - after.pose.position) for place in hand) > FAR
+            away = min(np.linalg.norm(place - after.pose.position) for place in hand) > CONTACT_RANGE
             if away and step.before.on_table[name] and step.after.on_table[name]:
                 alone += 1
                 assert np.linalg.norm(after.velocity) <= np.linalg.norm(before.velocity) + 1e-4
