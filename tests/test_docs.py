@@ -11,9 +11,9 @@ import gymnasium
 import pytest
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.cli.describe import page_with_picture
 from dynaforge.cli.main import main
 from dynaforge.demos import schema_markdown
+from dynaforge.reports.task_pages import page_with_picture
 from dynaforge.tasks import TASK_NAMES, get_task
 
 DOCS = Path(__file__).parents[1] / "docs"

@@ -1,22 +1,12 @@
-"""`dynaforge info`: what a folder of demonstrations holds, at a glance."""
+"""`dynaforge info`: what a folder of demonstrations contains, at a glance."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-
-import numpy as np
 
 from dynaforge.cli.arguments.datasets import open_dataset
-from dynaforge.demos import Attempt, Episode
 from dynaforge.demos.untrusted import printable
-from dynaforge.evaluation import DgrReport
-from dynaforge.tasks import Task
-from dynaforge.tasks.action import ActionLayout
-from dynaforge.training.sparkline import sparkline
-
-PARTS = 16  # of a condition's range
-RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
+from dynaforge.reports.dataset_summary import attempt_tables, recording_summary
 
 
 def run(options: argparse.Namespace) -> int:
@@ -24,74 +14,15 @@ def run(options: argparse.Namespace) -> int:
     dataset, task = open_dataset(options)
     attempts, episodes = dataset.attempts(), list(dataset)
     size = sum(path.stat().st_size for path in options.folder.rglob("*") if path.is_file())
-    held = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
-    _say(f"{options.folder}: {task.env_name}, {held}")
-    if not attempts:
-        return 0
-    for name in sorted({attempt.generator for attempt in attempts}):
-        made = [attempt for attempt in attempts if attempt.generator == name]
-        report = DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=name)
-        _say(f"\n{report.table()}\n{_wall(made)}")
-    if episodes:
-        _say(f"\n{lengths(episodes)}\n{actions(episodes)}\n{residuals(episodes)}\n{coverage(episodes, task)}")
+    counts = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
+    _print(f"{options.folder}: {task.env_name}, {counts}")
+    for table in attempt_tables(attempts, task):
+        _print(f"\n{table}")
+    if attempts and episodes:
+        _print(f"\n{recording_summary(episodes, task)}")
     return 0
 
 
-def _say(text: str) -> None:
-    """Print lines of which no terminal obeys any: reasons and names may be a stranger's."""
+def _print(text: str) -> None:
+    """Print lines without what a terminal would obey: reasons and names may be a stranger's."""
     print("\n".join(map(printable, text.split("\n"))))
-
-
-def lengths(episodes: Sequence[Episode]) -> str:
-    """Say how long the recordings are."""
-    steps, seconds = [len(e) for e in episodes], [e.duration for e in episodes]
-    return (
-        f"length: {np.median(steps):.0f} control steps ({min(steps)} to {max(steps)}), "
-        f"{np.median(seconds):.1f} s ({min(seconds):.1f} to {max(seconds):.1f}); {sum(steps)} steps in all"
-    )
-
-
-def actions(episodes: Sequence[Episode]) -> str:
-    """Say between what limits the targets lay that the controller was given."""
-    given = [e.steps["projected_action"] for e in episodes if "projected_action" in e.steps]
-    if not given:
-        return "actions: none recorded"
-    rows = np.concatenate(given)
-    lines = [
-        f"  {name:<11} {low:+.3f} to {high:+.3f}"
-        for name, low, high in zip(ActionLayout().names, rows.min(axis=0), rows.max(axis=0), strict=False)
-    ]
-    return "actions, target pose in the base frame and width (m):\n" + "\n".join(lines)
-
-
-def residuals(episodes: Sequence[Episode]) -> str:
-    """Say how far the residual moved the target while its gate was open."""
-    gated = [
-        e.steps["residual_action"][e.steps["gate"]]
-        for e in episodes
-        if "residual_action" in e.steps and "gate" in e.steps
-    ]
-    if not gated or not sum(map(len, gated)):
-        return "residual: none recorded"
-    rows = np.concatenate(gated)
-    low, middle, high = np.quantile(rows, (0.01, 0.5, 0.99), axis=0)
-    lines = [
-        f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(RESIDUALS, low, middle, high, strict=False)
-    ]
-    return "residual while gated (m, rad, m), 1 %, 50 % and 99 % quantile:\n" + "\n".join(lines)
-
-
-def coverage(episodes: Sequence[Episode], task: Task) -> str:
-    """Say how evenly the recordings fill the range of each condition."""
-    lines = []
-    for name, (low, high) in task.conditions.ranges.items():
-        values = [e.condition.values[name] for e in episodes if name in e.condition.values]  # a stranger's may lack it
-        counts, _ = np.histogram(values, bins=PARTS, range=(low, high))
-        bars = sparkline(count / counts.max() if count else np.nan for count in counts.tolist())
-        lines.append(f"  {name:<11} {low:>8.4g} {bars} {high:<8.4g} {np.count_nonzero(counts)} of {PARTS} parts")
-    return f"recordings over the range of each condition, in {PARTS} equal parts:\n" + "\n".join(lines)
-
-
-def _wall(attempts: Sequence[Attempt]) -> str:
-    timed = [attempt.wall_seconds for attempt in attempts if attempt.wall_seconds]
-    return f"an attempt took {np.median(timed):.2f} s of a core" if timed else ""

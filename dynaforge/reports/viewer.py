@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from dynaforge.demos import Attempt, Episode
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import render, script_data
-from dynaforge.reports.viewer_clips import EVERY, Filmer, Shown
+from dynaforge.reports.viewer_clips import EVERY, ViewerEpisode
 from dynaforge.reports.viewer_summary import STRATA, strata, summarise
 from dynaforge.reports.viewer_template import VIEWER
 from dynaforge.tasks import Task
-
-__all__ = ["Filmer", "Shown", "write_viewer"]
 
 PLOTS = (
     ("end effector, m", "ee_position", ("x", "y", "z")),
@@ -31,26 +29,31 @@ PLOTS = (
 
 
 def write_viewer(
-    path: Path, task: Task, attempts: Sequence[Attempt], episodes: Iterable[Shown], *, title: str,
+    path: Path,
+    task: Task,
+    attempts: Sequence[Attempt],
+    episodes: Iterable[ViewerEpisode],
+    *,
+    title: str,
     recorded: Collection[str] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Write the page, whole or not at all.
 
     Args:
-        path: Where.
+        path: The page's file.
         task: The task.
-        attempts: All of them; those without a recording are listed with their reason.
+        attempts: All of the dataset's; those without a recording are listed with their reason.
         episodes: Recordings to show.
         title: Headline.
-        recorded: Ids of the recordings that the dataset holds, shown or not.
+        recorded: Ids of the recordings that the dataset has, shown or not.
     """
     easiest_first = sorted(attempts, key=lambda attempt: attempt.difficulty)
     rows = {attempt.id: _row(task, attempt, recorded) for attempt in easiest_first}
-    for shown in episodes:
-        if shown.id in rows:
-            rows[shown.id] |= {"note": shown.note}
-            if shown.episode is not None and len(shown.episode):
-                rows[shown.id] |= _recording(shown, shown.episode)
+    for viewed in episodes:
+        if viewed.id in rows:
+            rows[viewed.id] |= {"note": viewed.note}
+            if viewed.episode is not None and len(viewed.episode):
+                rows[viewed.id] |= _recording(viewed, viewed.episode)
     listed = sorted(rows.values(), key=lambda row: "time" not in row)
     unit = task.conditions.units.get(task.conditions.difficulty, "")
     page = {
@@ -62,7 +65,7 @@ def write_viewer(
         VIEWER, title=title, task=task, n=len(listed), strata=strata(task), generators=generators,
         page=script_data(page), episodes=script_data(listed),
     )  # fmt: skip
-    atomic_write(path, text.encode(errors="replace"))  # a folder's name may be no text
+    atomic_write(path, text.encode(errors="replace"))  # a folder's name may contain bytes that are no text
 
 
 def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, Any]:
@@ -95,7 +98,7 @@ def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> s
     )
 
 
-def _recording(shown: Shown, episode: Episode) -> dict[str, Any]:
+def _recording(viewed: ViewerEpisode, episode: Episode) -> dict[str, Any]:
     steps = episode.steps
     plots = []
     for title, names, labels in PLOTS:
@@ -122,9 +125,9 @@ def _recording(shown: Shown, episode: Episode) -> dict[str, Any]:
         ],
         "contact": _time(episode.meta.get("contact_time")),
         "planned": _time(episode.meta.get("planned_contact_time")),
-        "scenes": dict(shown.scenes),
-        "clip": base64.b64encode(shown.clip).decode() if shown.clip else None,
-        "views": [[name, base64.b64encode(film).decode()] for name, film in shown.views.items()],
+        "scenes": dict(viewed.scenes),
+        "clip": base64.b64encode(viewed.clip).decode() if viewed.clip else None,
+        "views": [[name, base64.b64encode(film).decode()] for name, film in viewed.views.items()],
     }
 
 

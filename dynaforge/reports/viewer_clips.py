@@ -16,17 +16,17 @@ from dynaforge.tasks import Task
 EVERY = 2  # control steps from picture to picture, as in the clips of a report
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewerEpisode:
     """A recording on the page.
 
     Attributes:
-        id: Which.
+        id: Of the recording.
         episode: The recording; None where it cannot be read.
         clip: MP4 bytes, or None.
-        views: MP4 bytes of what its cameras saw, by their name.
-        scenes: Files of it in three dimensions, as links relative to the page, by what the link says.
-        note: What is amiss, in sentences.
+        views: MP4 bytes of what each of its cameras saw, by the camera's name.
+        scenes: Links to its scenes in 3-D, relative to the page, by the text of the link.
+        note: What could not be shown, in sentences; "" if nothing.
     """
 
     id: str
@@ -61,12 +61,20 @@ class Filmer:
         return encode_mp4([scene.picture(self._camera) for step, _ in states if step % EVERY == 0], fps=self._fps)
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._replayer.close()
 
 
 def camera_films(observations: ObservationFolder, episode: Episode, *, control_dt: float) -> dict[str, bytes]:
-    """Return what each camera saw of an episode as MP4, a picture a control step; none where no picture was kept.
+    """Return what each camera saw of an episode as MP4, one picture per control step.
+
+    Args:
+        observations: The rendered observations.
+        episode: Of which.
+        control_dt: Seconds from picture to picture.
+
+    Returns:
+        Films by the camera's name; empty where no pictures were kept.
 
     Raises:
         FileNotFoundError, DamagedFileError: As `ObservationFolder.of`.

@@ -23,7 +23,8 @@ from dynaforge.demos.observations import ObservationFolder, ObservationSettings,
 from dynaforge.generators import Goal, PlannerOnly, collect
 from dynaforge.reports import viewer_clips
 from dynaforge.reports.scene3d import SceneRecorder
-from dynaforge.reports.viewer import Shown, write_viewer
+from dynaforge.reports.viewer import write_viewer
+from dynaforge.reports.viewer_clips import ViewerEpisode
 from dynaforge.reports.viewer_summary import summarise
 from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
@@ -291,7 +292,7 @@ def test_nothing_in_the_data_runs(data: Path, tmp_path: Path, browser: Chromium)
     episode = held[held.ids()[0]]
     meta = {**episode.meta, "phases": [HOSTILE, {"a": HOSTILE}], "contact_time": HOSTILE}
     evil = replace(episode, condition=replace(episode.condition, values={HOSTILE: 0.5, "__proto__": 0.5}), meta=meta)
-    shown = Shown(evil.id, evil, views={HOSTILE: b"", "__proto__": b"", "b": b""}, note=HOSTILE)
+    shown = ViewerEpisode(id=evil.id, episode=evil, views={HOSTILE: b"", "__proto__": b"", "b": b""}, note=HOSTILE)
     attempts = [Attempt.of(evil), attempt(1, HOSTILE, phase=HOSTILE), attempt(2, "constructor")]
     write_viewer(tmp_path / "v.html", CAN, attempts, [shown], title=HOSTILE)
     page = (tmp_path / "v.html").as_uri()
