@@ -18,7 +18,8 @@ from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
-from dynaforge.training import model as training
+from dynaforge.training.model import build_model
+from dynaforge.training.settings import hyperparameters
 
 MOST_TRAINER = 0.6  # times PPO's CPU a transition and epoch
 LEAST_SHARE = 0.8  # of two cores' time inside the workers' env.step
@@ -92,11 +93,11 @@ def trainer(task: Task, *, rounds: int = 5) -> list[Figure]:
 
 def collection(task: Task, *, rounds: int = 5) -> list[Figure]:
     """Measure the share of two cores' time that is spent inside the workers' `env.step` while collecting."""
-    settings = training.hyperparameters("frontier_grpo", task.name)
+    settings = hyperparameters("frontier_grpo", task.name)
     env = SharedMemoryVecEnv([partial(TimedEnv, task, gate_mode="mask")] * settings["n_envs"], n_workers=2 * CORES)
     shares = []
     try:
-        model = training.build_model(task.name, env)
+        model = build_model(task.name, env)
         _, callback = model._setup_learn(10**9, None)
         for _ in tracked(range(rounds), "collection", total=rounds):
             before, start = sum(env.get_attr("cpu")), time.perf_counter()

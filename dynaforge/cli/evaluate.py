@@ -5,22 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from typing import Any
-
-from tqdm import tqdm
 
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
-from dynaforge.generators import Generator, Result, run_attempts
+from dynaforge.generators import Generator
 from dynaforge.generators.by_name import make_generator
-from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.generators.measure import measure
 from dynaforge.tasks import Task
 
 BINS = 8
@@ -33,12 +30,12 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
-    crews = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
+    generators_of_task = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
     out = options.out
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
-    for task, generators in zip(tasks, crews, strict=True):
-        measured = {g.name: _attempts(task, g, options) for g in generators}
+    for task, generators in zip(tasks, generators_of_task, strict=True):
+        measured = {g.name: _measured(task, g, options) for g in generators}
         reports = [_report(task, name, attempts) for name, attempts in measured.items()]
         print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")
         print(comparison_table(reports))
@@ -77,17 +74,13 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
         raise ValueError(f"--policy: {error}" if "policy" in asked else str(error)) from error
 
 
-def _attempts(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:
-    results = unless_all_raise(_results(task, generator, options), generator=generator.name)
-    total = options.seeds * options.attempts
-    return [r.attempt for r in tqdm(results, total=total, leave=False, unit="attempt", desc=generator.name)]
-
-
-def _results(task: Task, generator: Generator, options: argparse.Namespace) -> Iterator[Result]:
-    for block in range(options.seeds):
-        stream = task.conditions.stream(options.stream, block, n_strata=BINS if options.strata else None)
-        conditions = islice(stream, options.attempts)
-        yield from run_attempts(task, generator, conditions, block=block, workers=options.workers)
+def _measured(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:
+    n_strata = BINS if options.strata else None
+    blocks = (
+        islice(task.conditions.stream(options.stream, block, n_strata=n_strata), options.attempts)
+        for block in range(options.seeds)
+    )
+    return measure(task, generator, blocks, total=options.seeds * options.attempts, workers=options.workers)
 
 
 def _report(task: Task, name: str, attempts: list[Attempt]) -> DgrReport:

@@ -119,3 +119,17 @@ def check_writable(folder: str | Path) -> None:
     finally:
         if os.path.lexists(probe):
             probe.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of `--out`, or see that it can be written to.
+
+    Raises:
+        ValueError: It cannot be made.
+        PermissionError: It cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
+    check_writable(folder)

@@ -11,7 +11,8 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import ReportFigure, render
 from dynaforge.reports.plots import Format, learning_curve, probe_curve, stratum_heatmap
 from dynaforge.reports.template import COMPARISON
-from dynaforge.training.comparison import COLUMNS, Comparison
+from dynaforge.training.comparison import Comparison
+from dynaforge.training.comparison_table import COLUMNS, cells, comparison_table, legend
 
 
 def write_comparison(folder: Path, comparison: Comparison, *, command: str, date: str) -> Path:
@@ -21,17 +22,17 @@ def write_comparison(folder: Path, comparison: Comparison, *, command: str, date
         ImportError: Matplotlib or Jinja2, of the `[report]` extra, is missing.
         OSError: The folder is not writable, or the disk is full.
     """
-    atomic_write(folder / "table.txt", f"{command}\n\n{comparison.table()}\n".encode())
+    atomic_write(folder / "table.txt", f"{command}\n\n{comparison_table(comparison)}\n".encode())
     page = folder / "report.html"
     text = render(
         COMPARISON,
-        title=f"{', '.join(comparison.arms)} on {', '.join(comparison.tasks)}",
+        title=f"{', '.join(comparison.variants)} on {', '.join(comparison.tasks)}",
         command=command,
         date=date,
         columns=COLUMNS,
         sections=list(_sections(comparison)),
-        legend=comparison.legend(),
-        settings={run.arm: run.settings for run in comparison.runs if run.settings},
+        legend=legend(comparison),
+        settings={run.variant: run.settings for run in comparison.runs if run.settings},
     )
     atomic_write(page, text.encode())
     return page
@@ -39,53 +40,55 @@ def write_comparison(folder: Path, comparison: Comparison, *, command: str, date
 
 def _sections(comparison: Comparison) -> Iterator[dict[str, object]]:
     """Give title, rows and figures of the means and of each task."""
-    shared = {arm: comparison.complete_tasks(arm) for arm in comparison.arms}
+    shared = {variant: comparison.complete_tasks(variant) for variant in comparison.variants}
     if any(len(tasks) > 1 for tasks in shared.values()):
-        rows = [(f"{arm} (mean of {len(t)})", comparison.cells(arm, t)) for arm, t in shared.items() if t]
+        rows = [(f"{variant} (mean of {len(t)})", cells(comparison, variant, t)) for variant, t in shared.items() if t]
         yield {"title": "All tasks", "rows": rows, "groups": [], "figures": []}
     for task in comparison.tasks:
-        arms = [arm for arm in comparison.arms if comparison.of(task, arm)]
-        rows = [(arm, comparison.cells(arm, [task])) for arm in arms]
+        variants = [variant for variant in comparison.variants if comparison.of(task, variant)]
+        rows = [(variant, cells(comparison, variant, [task])) for variant in variants]
         if not math.isnan(comparison.planner(task)):
             rows.insert(0, ("planner only", ["", f"{100 * comparison.planner(task):.1f}"]))
-        summaries = {arm: comparison.summary(task, arm) for arm in arms}
+        summaries = {variant: comparison.summary(task, variant) for variant in variants}
         groups = [
-            (arm, *(f"{100 * share:.0f} %" for share in s.groups), f"{100 * s.lost_again:.0f} %")
-            for arm, s in summaries.items()
+            (variant, *(f"{100 * share:.0f} %" for share in s.groups), f"{100 * s.forgotten:.0f} %")
+            for variant, s in summaries.items()
             if s.groups
         ]
-        yield {"title": task, "rows": rows, "groups": groups, "figures": list(task_figures(comparison, task, arms))}
+        yield {"title": task, "rows": rows, "groups": groups, "figures": list(task_figures(comparison, task, variants))}
 
 
 def task_figures(
-    comparison: Comparison, task: str, arms: Sequence[str], *, fmt: Format = "svg"
+    comparison: Comparison, task: str, variants: Sequence[str], *, fmt: Format = "svg"
 ) -> Iterator[ReportFigure]:
-    """Draw what a comparison says about a task: learning curves, the frontier of each arm, success unexplored."""
+    """Draw what a comparison says about a task: learning curves, the frontier of each variant, success unexplored."""
     planner = comparison.planner(task)
-    if not arms:
+    if not variants:
         return
     yield ReportFigure(
         "Success in training",
         "Exploring episodes, mean over training seeds; lines are means of the last 20 updates, faint traces single "
         "updates. Horizontal: the planner alone, dashed; final policies without exploration, dash-dotted.",
         learning_curve(
-            {arm: comparison.curve(task, arm) for arm in arms},
-            steps={arm: comparison.steps(task, arm) for arm in arms},
+            {variant: comparison.curve(task, variant) for variant in variants},
+            steps={variant: comparison.steps(task, variant) for variant in variants},
             planner_only=None if math.isnan(planner) else planner,
-            final={arm: mean(comparison.summary(task, arm).rates) for arm in arms},
+            final={variant: mean(comparison.summary(task, variant).rates) for variant in variants},
             fmt=fmt,
         ),
     )
-    for arm in reversed(arms):  # what the comparison is about comes last on the command line
+    for variant in reversed(variants):  # what the comparison is about comes last on the command line
         yield ReportFigure(
-            f"Success by stratum, {arm}",
+            f"Success by stratum, {variant}",
             "Outcomes of all training seeds pooled. Red: the competence frontier, the deepest rank up to which the "
             "Wilson lower bound of every stratum is at least one half.",
-            stratum_heatmap(comparison.frontier(task, arm), fmt=fmt),
+            stratum_heatmap(comparison.frontier(task, variant), fmt=fmt),
         )
-    probes = {arm: comparison.probes(task, arm) for arm in arms}
+    probes = {variant: comparison.probes(task, variant) for variant in variants}
     yield ReportFigure(
         "Success without exploration",
         "One val condition of each of 16 strata at every measurement, mean over training seeds.",
-        probe_curve({arm: p[1] for arm, p in probes.items()}, {arm: p[0] for arm, p in probes.items()}, fmt=fmt),
+        probe_curve(
+            {variant: p[1] for variant, p in probes.items()}, {variant: p[0] for variant, p in probes.items()}, fmt=fmt
+        ),
     )

@@ -2,107 +2,42 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean, stdev
-from typing import Any
+from statistics import mean
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
 from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_tasks
-from dynaforge.geometry import Array, one_line
+from dynaforge.geometry import Array
 from dynaforge.training.history import TrainingHistory
+from dynaforge.training.run_spec import PLANNER_ONLY
+from dynaforge.training.stored_run import StoredRun
 
-PLANNER = "planner_only"
-COLUMNS = (
-    "seeds", "DGR %", "std", "val %", "opt. steps", "against", "95 %", "opt. ratio", "steps to", "greedy", "used",
-    "sim", "opt.", "wall sim", "wall opt.",
-)  # fmt: skip
-LATE = 5  # probes at the end of a run, whose mean says where it ends
+FINAL_PROBES = 5  # probes at the end of a run, whose mean says where it ends
 VANILLA = "grpo"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StoredRun:
-    """A finished run.
-
-    Attributes:
-        task, arm, seed: Which run; arm "planner_only" was not trained.
-        settings: Hyperparameters it was trained with.
-        history: Of its training; None for the planner.
-        success: Of the final policy on the exam's conditions, shape (C,).
-        conditions: Their ids.
-        failures: Reasons of the failures.
-        exam: Stream, blocks and attempts.
-    """
-
-    task: str
-    arm: str
-    seed: int
-    settings: dict[str, Any]
-    history: TrainingHistory | None
-    success: NDArray[np.bool_]
-    conditions: tuple[str, ...]
-    failures: tuple[str, ...]
-    exam: dict[str, Any]
-
-    __repr__ = one_line
-
-    @staticmethod
-    def load(folder: Path) -> StoredRun:
-        """Read a run's folder.
-
-        Raises:
-            ValueError: A file in it is damaged.
-        """
-        try:
-            exam = json.loads((folder / "exam.json").read_text())
-            about = json.loads((folder / "run.json").read_text()) if (folder / "run.json").is_file() else None
-            outcomes = [attempt["outcome"] for attempt in exam["attempts"]]
-            return StoredRun(
-                task=exam["task"],
-                arm=about["run"]["arm"] if about else PLANNER,
-                seed=about["run"]["seed"] if about else 0,
-                settings=about["settings"] if about else {},
-                history=TrainingHistory.load(folder / "history.json") if about else None,
-                success=np.array([outcome == "success" for outcome in outcomes]),
-                conditions=tuple(attempt["id"] for attempt in exam["attempts"]),
-                failures=tuple(outcome for outcome in outcomes if outcome != "success"),
-                exam=exam["exam"],
-            )
-        except (json.JSONDecodeError, UnicodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise ValueError(f"{folder} holds no readable run: {type(error).__name__}: {error}.") from error
-
-    @property
-    def rate(self) -> float:
-        """Demonstration generation rate."""
-        return float(self.success.mean())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ArmSummary:
-    """An arm on a task, over its training seeds; figures of training are means over the seeds.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class VariantSummary:
+    """A variant on a task, over its training seeds; figures of training are means over the seeds.
 
     Attributes:
         rates: DGR of each training seed.
         late: Success without exploration on `val`, mean of the last five probes; NaN without probes.
-        optimizer_steps: Made in a run.
+        optimizer_steps: Optimizer steps of a run.
         transitions_used: Gated transitions of the kept groups of a run.
         collect_cpu, optimize_cpu, collect_wall, optimize_wall: Seconds of a run, on the one core it has.
-        groups: Shares of groups that failed throughout, were mixed, succeeded throughout; empty without groups.
-        steps_to_vanilla: Environment steps until the trailing success in training, mean over seeds, first was what
-            vanilla GRPO's is at its end; infinite where it never was.
-        greedy_steps_to_vanilla: The same without exploration: until the mean of three probes was that of vanilla's
-            last five; NaN without probes.
-        lost_again: Share of strata won without exploration in two probes running and lost in the last two.
+        groups: Shares of groups that all failed, were mixed, all succeeded; empty without groups.
+        steps_to_vanilla: Environment steps needed to reach vanilla GRPO's final success in training (trailing means
+            over the seeds); infinite where it was not reached.
+        greedy_steps_to_vanilla: The same without exploration: environment steps until the mean of three probes reached
+            that of vanilla's last five; NaN without probes.
+        forgotten: Share of strata that succeeded in two probes in a row and failed in the last two.
     """
 
     rates: tuple[float, ...]
@@ -116,12 +51,12 @@ class ArmSummary:
     groups: tuple[float, ...]
     steps_to_vanilla: float
     greedy_steps_to_vanilla: float
-    lost_again: float
+    forgotten: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Finished runs of several arms on several tasks.
+    """Finished runs of several variants on several tasks.
 
     Attributes:
         runs: In the order in which they are shown.
@@ -148,51 +83,51 @@ class Comparison:
         return list(dict.fromkeys(run.task for run in self.runs))
 
     @property
-    def arms(self) -> list[str]:
-        """Names of the trained arms, in order."""
-        return list(dict.fromkeys(run.arm for run in self.runs if run.arm != PLANNER))
+    def variants(self) -> list[str]:
+        """Names of the trained variants, in order."""
+        return list(dict.fromkeys(run.variant for run in self.runs if run.variant != PLANNER_ONLY))
 
     @property
     def reference(self) -> str:
-        """What arms are compared with: vanilla GRPO, else the first arm."""
-        return VANILLA if VANILLA in self.arms else (self.arms or [PLANNER])[0]
+        """What variants are compared with: vanilla GRPO, else the first variant."""
+        return VANILLA if VANILLA in self.variants else (self.variants or [PLANNER_ONLY])[0]
 
-    def of(self, task: str, arm: str) -> list[StoredRun]:
-        """Return the finished training seeds of an arm on a task."""
-        return [run for run in self.runs if run.task == task and run.arm == arm]
+    def of(self, task: str, variant: str) -> list[StoredRun]:
+        """Return the finished training seeds of a variant on a task."""
+        return [run for run in self.runs if run.task == task and run.variant == variant]
 
-    def outcomes(self, task: str, arm: str) -> NDArray[np.bool_]:
+    def outcomes(self, task: str, variant: str) -> NDArray[np.bool_]:
         """Return the success of each training seed on each condition, shape (S, C)."""
-        return np.array([run.success for run in self.of(task, arm)])
+        return np.array([run.success for run in self.of(task, variant)])
 
     def planner(self, task: str) -> float:
         """DGR of the planner alone; NaN where it was not measured."""
-        return next((run.rate for run in self.of(task, PLANNER)), math.nan)
+        return next((run.rate for run in self.of(task, PLANNER_ONLY)), math.nan)
 
-    def complete_tasks(self, arm: str) -> list[str]:
-        """Return the tasks on which both this arm and the reference finished a run."""
-        return [task for task in self.tasks if self.of(task, arm) and self.of(task, self.reference)]
+    def complete_tasks(self, variant: str) -> list[str]:
+        """Return the tasks on which both this variant and the reference finished a run."""
+        return [task for task in self.tasks if self.of(task, variant) and self.of(task, self.reference)]
 
-    def difference(self, arm: str, tasks: Sequence[str]) -> BootstrapDifference:
-        """Compare an arm's DGR with the reference's, mean over tasks; bootstrap over training seeds and conditions."""
-        pairs = [(self.outcomes(task, self.reference), self.outcomes(task, arm)) for task in tasks]
+    def difference(self, variant: str, tasks: Sequence[str]) -> BootstrapDifference:
+        """Compare a variant's mean DGR over tasks with the reference's; bootstrap over seeds and conditions."""
+        pairs = [(self.outcomes(task, self.reference), self.outcomes(task, variant)) for task in tasks]
         return bootstrap_over_tasks(pairs, rng=np.random.default_rng(0))
 
-    def curve(self, task: str, arm: str) -> Array:
+    def curve(self, task: str, variant: str) -> Array:
         """Success in training at each update, mean over seeds, shape (U,); as long as the shortest run."""
-        curves = [history.success for history in self._histories(task, arm)]
+        curves = [history.success for history in self._histories(task, variant)]
         shortest = min(map(len, curves))
         return np.asarray(np.mean([curve[:shortest] for curve in curves], axis=0))
 
-    def steps(self, task: str, arm: str) -> Array:
+    def steps(self, task: str, variant: str) -> Array:
         """Environment steps at the updates of `curve`, mean over seeds, shape (U,)."""
-        steps = [history.timesteps for history in self._histories(task, arm)]
+        steps = [history.timesteps for history in self._histories(task, variant)]
         shortest = min(map(len, steps))
         return np.asarray(np.mean([row[:shortest] for row in steps], axis=0))
 
-    def frontier(self, task: str, arm: str) -> FrontierAnalysis:
-        """Analyse the frontier of an arm, outcomes of all its seeds pooled update by update."""
-        histories = self._histories(task, arm)
+    def frontier(self, task: str, variant: str) -> FrontierAnalysis:
+        """Analyse the frontier of a variant, outcomes of all its seeds pooled update by update."""
+        histories = self._histories(task, variant)
         shortest = min(map(len, histories))
         successes, trials = (
             np.sum([getattr(history, name)[:shortest] for history in histories], axis=0)
@@ -200,21 +135,21 @@ class Comparison:
         )
         return analyse_frontier(successes, trials)
 
-    def probes(self, task: str, arm: str) -> tuple[Array, Array]:
+    def probes(self, task: str, variant: str) -> tuple[Array, Array]:
         """Environment steps and success without exploration of the probes, means over seeds, shape (P,) each."""
-        rows = [history.probes for history in self._histories(task, arm)]
+        rows = [history.probes for history in self._histories(task, variant)]
         shortest = min(map(len, rows))
         steps = np.mean([[probe.timesteps for probe in row[:shortest]] for row in rows], axis=0)
         return steps, np.mean([[np.mean(probe.success) for probe in row[:shortest]] for row in rows], axis=0)
 
-    def summary(self, task: str, arm: str) -> ArmSummary:
-        """Put an arm's runs on a task in figures."""
-        histories = self._histories(task, arm)
+    def summary(self, task: str, variant: str) -> VariantSummary:
+        """Put a variant's runs on a task in figures."""
+        histories = self._histories(task, variant)
         groups = np.array([np.sum(history.groups, axis=0) for history in histories if history.groups])
         probes = [_probes(history) for history in histories]
-        return ArmSummary(
-            rates=tuple(run.rate for run in self.of(task, arm)),
-            late=mean(float(p[-LATE:].mean()) if len(p) else math.nan for p in probes),
+        return VariantSummary(
+            rates=tuple(run.rate for run in self.of(task, variant)),
+            late=mean(float(p[-FINAL_PROBES:].mean()) if len(p) else math.nan for p in probes),
             optimizer_steps=mean(h.optimizer_steps[-1] for h in histories),
             transitions_used=mean(h.transitions_used[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
@@ -222,101 +157,38 @@ class Comparison:
             collect_wall=mean(sum(h.collect_wall) for h in histories),
             optimize_wall=mean(sum(h.optimize_wall) for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
-            steps_to_vanilla=self._steps_to_vanilla(task, arm),
-            greedy_steps_to_vanilla=self._greedy_steps_to_vanilla(task, arm),
-            lost_again=mean(_lost_again(p) for p in probes),
+            steps_to_vanilla=self._steps_to_vanilla(task, variant),
+            greedy_steps_to_vanilla=self._greedy_steps_to_vanilla(task, variant),
+            forgotten=mean(_forgotten(p) for p in probes),
         )
 
-    def _steps_to_vanilla(self, task: str, arm: str) -> float:
+    def _steps_to_vanilla(self, task: str, variant: str) -> float:
         if not self.of(task, self.reference):
             return math.nan
         level = self.frontier(task, self.reference).overall_trailing[-1]
-        reached = np.flatnonzero(self.frontier(task, arm).overall_trailing >= level)
-        return float(self.steps(task, arm)[reached[0]]) if len(reached) else math.inf
+        reached = np.flatnonzero(self.frontier(task, variant).overall_trailing >= level)
+        return float(self.steps(task, variant)[reached[0]]) if len(reached) else math.inf
 
-    def _greedy_steps_to_vanilla(self, task: str, arm: str) -> float:
+    def _greedy_steps_to_vanilla(self, task: str, variant: str) -> float:
         if not self.of(task, self.reference):
             return math.nan
-        level, (steps, success) = self.probes(task, self.reference)[1][-LATE:], self.probes(task, arm)
+        level, (steps, success) = self.probes(task, self.reference)[1][-FINAL_PROBES:], self.probes(task, variant)
         if not len(level) or len(success) < 3:
             return math.nan
         reached = np.flatnonzero(np.convolve(success, np.ones(3) / 3, "valid") >= level.mean() - 1e-9)
         return float(steps[reached[0] + 2]) if len(reached) else math.inf
 
-    def table(self) -> str:
-        """Return all of it as plain text: a row an arm and task, then the means over the tasks."""
-        grid = Table()
-        for name in ("task", "arm", *COLUMNS):
-            grid.add_column(name, justify="left" if name in ("task", "arm") else "right")
-        for task in self.tasks:
-            if not math.isnan(self.planner(task)):
-                grid.add_row(task, "planner only", "", f"{100 * self.planner(task):.1f}")
-            for arm in self.arms:
-                if self.of(task, arm):
-                    grid.add_row(task, arm, *self.cells(arm, [task]))
-            grid.add_section()
-        for arm in self.arms:
-            shared = self.complete_tasks(arm)
-            if len(shared) > 1:
-                grid.add_row(f"mean of {len(shared)}", arm, *self.cells(arm, shared))
-        console = Console(file=io.StringIO(), width=200, color_system=None, force_terminal=False)
-        with console.capture() as capture:
-            console.print(grid)
-        rows = "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
-        return f"{rows}\n{self.legend()}"
-
-    def legend(self) -> str:
-        """Say what the columns of the table mean."""
-        exam = self.runs[0].exam
-        return (
-            f"DGR of the final policy without exploration on {exam['blocks']} x {exam['attempts']} conditions of "
-            f"{exam['stream']}, mean and std over training seeds; mean of the last {LATE} probes\non val, without "
-            f"exploration; optimizer steps of a run; against {self.reference} in points, 95 % bootstrap over training "
-            f"seeds and conditions;\noptimizer steps and environment steps to {self.reference}'s final success in "
-            "training, and in probes, as ratios to it ('-': not reached);\nof a run: thousands of transitions in kept "
-            "groups, minutes of simulation and of optimisation, CPU and wall, on one core."
-        )
-
-    def cells(self, arm: str, tasks: Sequence[str]) -> list[str]:
-        """Return the figures of an arm over tasks as text, in the order of `COLUMNS`."""
-        mine = [self.summary(task, arm) for task in tasks]
-        seeds = min(len(s.rates) for s in mine)
-        rate = mean(mean(s.rates) for s in mine)
-        over_seeds = [mean(s.rates[k] for s in mine) for k in range(seeds)]
-        cells = [str(seeds), f"{100 * rate:.1f}", f"{100 * stdev(over_seeds):.1f}" if seeds > 1 else "-"]
-        late = mean(s.late for s in mine)
-        cells += ["-" if math.isnan(late) else f"{100 * late:.1f}", f"{mean(s.optimizer_steps for s in mine):.0f}"]
-        if arm == self.reference or not all(self.of(task, self.reference) for task in tasks):
-            compared = ["-"] * 5
-        else:
-            theirs = [self.summary(task, self.reference) for task in tasks]
-            found = self.difference(arm, tasks)
-            low, high = found.interval
-            ratios = (
-                mean(getattr(a, name) / getattr(b, name) for a, b in zip(mine, theirs, strict=True))
-                for name in ("optimizer_steps", "steps_to_vanilla", "greedy_steps_to_vanilla")
-            )
-            compared = [
-                f"{100 * found.difference:+.1f}", f"{100 * low:+.1f} to {100 * high:+.1f}",
-                *(f"{ratio:.2f} x" if math.isfinite(ratio) else "-" for ratio in ratios),
-            ]  # fmt: skip
-        costs = [f"{mean(s.transitions_used for s in mine) / 1000:.1f}"]
-        for name in ("collect_cpu", "optimize_cpu", "collect_wall", "optimize_wall"):
-            minutes = mean(getattr(s, name) for s in mine) / 60
-            costs.append(f"{minutes:.2f}" if name.startswith("optimize") else f"{minutes:.1f}")
-        return [*cells, *compared, *costs]
-
-    def _histories(self, task: str, arm: str) -> list[TrainingHistory]:
-        return [run.history for run in self.of(task, arm) if run.history is not None]
+    def _histories(self, task: str, variant: str) -> list[TrainingHistory]:
+        return [run.history for run in self.of(task, variant) if run.history is not None]
 
 
 def _probes(history: TrainingHistory) -> NDArray[np.bool_]:
     return np.array([probe.success for probe in history.probes], dtype=bool)
 
 
-def _lost_again(probes: NDArray[np.bool_]) -> float:
-    """Return the share of strata that were won in two probes running and are lost in the last two."""
+def _forgotten(probes: NDArray[np.bool_]) -> float:
+    """Return the share of strata that succeeded in two probes in a row and failed in the last two."""
     if len(probes) < 4:
         return 0.0
-    won_once = (probes[:-1] & probes[1:])[:-2].any(axis=0)
-    return float((won_once & ~probes[-1] & ~probes[-2]).mean())
+    solved_once = (probes[:-1] & probes[1:])[:-2].any(axis=0)
+    return float((solved_once & ~probes[-1] & ~probes[-2]).mean())

@@ -1,4 +1,4 @@
-"""The folder of a run of `forge`: what was asked for and every finished stage, so that the same command goes on.
+"""The folder of a run of `forge`: what was asked for and every finished stage, so that the same command resumes it.
 
 Read before anything heavy is imported.
 """
@@ -12,6 +12,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from dynaforge.files.atomic import atomic_write, make_folder
 from dynaforge.tasks import get_task
 
 ABOUT = "forge.json"
@@ -31,8 +32,6 @@ class ForgeFolder:
         self.path = path
         self.resumed = (path / ABOUT).is_file()
         if not self.resumed:
-            from dynaforge.files.atomic import atomic_write
-
             atomic_write(path / ABOUT, json.dumps(about, indent=1).encode() + b"\n")
 
     @staticmethod
@@ -43,46 +42,33 @@ class ForgeFolder:
             ValueError: It cannot be made, or holds another run.
             PermissionError: It cannot be written to.
         """
-        mine: dict[str, Any] = json.loads(json.dumps(about))
-        held = _read(path / ABOUT) if (path / ABOUT).is_file() else mine
-        if held != mine:
-            was, now = ({k: side.get(k) for k in {*held, *mine} if held.get(k) != mine.get(k)} for side in (held, mine))
+        asked: dict[str, Any] = json.loads(json.dumps(about))
+        stored = _read(path / ABOUT) if (path / ABOUT).is_file() else asked
+        if stored != asked:
+            differ = {name for name in {*stored, *asked} if stored.get(name) != asked.get(name)}
+            was, now = ({name: side.get(name) for name in differ} for side in (stored, asked))
             raise ValueError(
                 f"--out {path} holds a run with {_spell(was)}, now {_spell(now)} is asked for. "
                 "Choose another --out, or repeat the command of that run to go on with it."
             )
         make_folder(path)
-        return ForgeFolder(path, mine)
+        return ForgeFolder(path, asked)
 
     @property
     def finished(self) -> bool:
         """Whether the run came to its end."""
         return (self.path / REPORT).is_file()
 
+    def has_stage(self, name: str) -> bool:
+        """Tell whether a stage was stored."""
+        return (self.path / f"{name}.json").is_file()
+
     def stage(self, name: str, make: Callable[[], Any]) -> Any:
         """Return the plain data of a stage: stored by an earlier call of the command, or made now and stored."""
         path = self.path / f"{name}.json"
-        if not path.is_file():
-            from dynaforge.files.atomic import atomic_write
-
+        if not self.has_stage(name):
             atomic_write(path, json.dumps(make()).encode() + b"\n")
         return _read(path)
-
-
-def make_folder(folder: Path) -> None:
-    """Make the folder of `--out`, or see that it can be written to.
-
-    Raises:
-        ValueError: It cannot be made.
-        PermissionError: It cannot be written to.
-    """
-    from dynaforge.files.atomic import check_writable
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"--out {folder} cannot be made: {error.strerror}. Choose another folder.") from error
-    check_writable(folder)
 
 
 def asked_for(options: argparse.Namespace) -> dict[str, Any]:

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import io
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
-from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
@@ -23,11 +19,8 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
-from dynaforge.tasks import ConditionSpace, Task
-from dynaforge.training.history import STRATA, TrainingHistory
-from dynaforge.training.settings import hyperparameters as hyperparameters
-from dynaforge.training.settings import model_arguments
-from dynaforge.training.sparkline import sparkline
+from dynaforge.tasks import Task
+from dynaforge.training.settings import hyperparameters, model_arguments
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
 
@@ -90,137 +83,6 @@ def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, up
     """Take the policy out of a model, with how it was trained."""
     meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions()}
     return MlpPolicyFile.of(model, task=task, meta=meta)
-
-
-class TrainingMonitor(BaseCallback):
-    """Keeps the history of a run of any on-policy algorithm.
-
-    Args:
-        history: Filled as training goes; a resumed run's holds what went before.
-        conditions: Of the task; episodes are counted in equal strata of difficulty.
-        between_updates: Called between two updates with the number of updates made so far, and at the end; False
-            ends training.
-    """
-
-    def __init__(
-        self, history: TrainingHistory, conditions: ConditionSpace,
-        between_updates: Callable[[int], bool] = lambda updates: True,
-    ) -> None:  # fmt: skip
-        super().__init__()
-        self.history = history
-        self._conditions = conditions
-        self._between_updates = between_updates
-        self._optimizer_steps = history.optimizer_steps[-1] if history.optimizer_steps else 0
-        self._collected = self._goes_on = True
-
-    def _on_training_start(self) -> None:
-        self._collected = False
-
-        def count(*_: Any) -> None:
-            self._optimizer_steps += 1
-
-        self._hook = self.model.policy.optimizer.register_step_post_hook(count)
-
-    def _on_rollout_start(self) -> None:
-        self._close_update()
-        self._successes, self._trials = np.zeros(STRATA, int), np.zeros(STRATA, int)
-        self._goes_on = self._between_updates(len(self.history))
-        self._clock = time.perf_counter(), time.process_time()
-
-    def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        for row in np.flatnonzero(self.locals["dones"]).tolist():
-            info = infos[row]
-            stratum = self._conditions.stratum(info["difficulty"], STRATA)
-            self._trials[stratum] += 1
-            self._successes[stratum] += info["is_success"]
-        return self._goes_on
-
-    def _on_rollout_end(self) -> None:
-        history, model = self.history, self.model
-        wall, cpu = self._lap()
-        history.successes.append(self._successes.tolist())
-        history.trials.append(self._trials.tolist())
-        history.collect_wall.append(wall)
-        history.collect_cpu.append(cpu)
-        history.timesteps.append(self.num_timesteps)
-        if isinstance(model, FrontierGRPO):
-            won = np.asarray(model.last_group_success).mean(axis=1)
-            history.groups.append([int((won == 0).sum()), int(((won > 0) & (won < 1)).sum()), int((won == 1).sum())])
-        self._collected = True
-
-    def _on_training_end(self) -> None:
-        self._close_update()
-        self._hook.remove()
-        if self._goes_on:
-            self._between_updates(len(self.history))
-
-    def _close_update(self) -> None:
-        """Note what the optimisation that followed the last collection took."""
-        if not self._collected:
-            return
-        history = self.history
-        wall, cpu = self._lap()
-        history.optimize_wall.append(wall)
-        history.optimize_cpu.append(cpu)
-        history.optimizer_steps.append(self._optimizer_steps)
-        history.transitions_used.append(getattr(self.model, "transitions_used", self.num_timesteps))
-        self._collected = False
-
-    def _lap(self) -> tuple[float, float]:
-        """Return wall and CPU seconds since the last call."""
-        before, self._clock = self._clock, (time.perf_counter(), time.process_time())
-        wall, cpu = (now - then for now, then in zip(self._clock, before, strict=True))
-        return round(wall, 4), round(cpu, 4)
-
-
-class TimeLimit:
-    """Ends training when the time or the updates are up, and shows a bar with success by stratum.
-
-    Args:
-        history: Of the run; the time that a resumed one has spent counts.
-        seconds: Wall time allowed; no update is begun that would not end in time.
-        updates: Updates allowed; None for no limit.
-    """
-
-    def __init__(self, history: TrainingHistory, *, seconds: float, updates: int | None = None) -> None:
-        self._history, self._seconds, self._updates = history, seconds, updates
-        self._last = time.monotonic()
-        self._start = self._last - sum(history.collect_wall) - sum(history.optimize_wall)
-        self._longest = 0.0
-        self._bar = tqdm(
-            total=round(seconds), unit="s",
-            bar_format="training {percentage:3.0f}%|{bar:20}| {n:.0f}/{total_fmt} s {postfix}",
-        )  # fmt: skip
-
-    def __call__(self, updates: int) -> bool:
-        """Tell whether another update may begin."""
-        now = time.monotonic()
-        if updates:
-            self._longest = max(self._longest, now - self._last)
-            self._bar.set_postfix_str(f"update {updates}, {describe_update(self._history)}")
-        self._last = now
-        self._bar.update(min(now - self._start, self._seconds) - self._bar.n)
-        time_is_up = now - self._start + self._longest > self._seconds
-        return not time_is_up and (self._updates is None or updates < self._updates)
-
-    def used(self) -> float:
-        """Return the share of the time that is used, or of the updates before the one under way if that is larger."""
-        time_share = (time.monotonic() - self._start) / self._seconds if self._seconds > 0 else 1.0
-        update_share = max(0, len(self._history) - 1) / self._updates if self._updates else 0.0
-        return min(1.0, max(time_share, update_share))
-
-    def close(self) -> None:
-        """Leave the bar as it is."""
-        self._bar.close()
-
-
-def describe_update(history: TrainingHistory) -> str:
-    """Put the last update's success, overall and by stratum, in a few characters."""
-    last = history.frontier()
-    rates = last.success[-1]
-    strata = sparkline(rates)
-    return f"success {last.overall[-1]:4.0%}, easy {strata} hard"
 
 
 def save_model(model: OnPolicyAlgorithm, path: Path) -> None:

@@ -93,8 +93,8 @@ def _scheduled(value: Any) -> Any:
     return value
 
 
-def arms() -> dict[str, dict[str, Any]]:
-    """Read zoo_configs/compare.yml: arm of `compare` to its file and settings."""
+def variants() -> dict[str, dict[str, Any]]:
+    """Read zoo_configs/compare.yml: name of each variant of `compare` to its file and settings."""
     text = files("dynaforge.zoo_configs").joinpath("compare.yml").read_text(encoding="utf-8")
     return dict(yaml.safe_load(text))
 

@@ -12,8 +12,10 @@ from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.training import run as runs
 from dynaforge.training.history import TrainingHistory
-from dynaforge.training.run import Exam, RunSpec
-from dynaforge.training.settings import arms
+from dynaforge.training.matrix import check_variants
+from dynaforge.training.run_spec import Evaluation, RunSpec
+from dynaforge.training.settings import variants
+from dynaforge.training.stored_training import CHECKPOINT
 
 TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}
 
@@ -23,14 +25,23 @@ def options(*arguments: str) -> argparse.Namespace:
 
 
 def tiny(folder: Path, **changes: object) -> RunSpec:
-    spec = RunSpec("can", "frontier_grpo", "frontier_grpo", TINY, 0, 300, Exam("val", 1, 2), folder)
+    spec = RunSpec(
+        task="can",
+        variant="frontier_grpo",
+        algo="frontier_grpo",
+        changes=TINY,
+        seed=0,
+        steps=300,
+        evaluation=Evaluation("val", 1, 2),
+        folder=folder,
+    )
     return replace(spec, **changes)  # type: ignore[arg-type]
 
 
 def test_the_matrix_goes_seed_by_seed(tmp_path: Path) -> None:
     asked = options("--task", "can", "peach", "--algos", "ppo", "strata", "--train-seeds", "2", "--out", str(tmp_path))
     specs = compare.matrix(asked)
-    assert [(s.task, s.arm, s.seed) for s in specs] == [
+    assert [(s.task, s.variant, s.seed) for s in specs] == [
         ("can", "planner_only", 0), ("peach", "planner_only", 0),
         *((task, arm, seed) for seed in range(2) for task in ("can", "peach") for arm in ("ppo", "strata")),
     ]  # fmt: skip
@@ -102,7 +113,7 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
     monkeypatch.setattr(runs, "SAVED_EVERY", 1)
     monkeypatch.setattr(runs, "PROBED_EVERY", 2)
     whole, cut = tiny(tmp_path / "whole"), tiny(tmp_path / "cut")
-    runs.perform(whole)
+    runs.train(whole)
     told = 0
 
     def cut_off(**what: object) -> None:
@@ -112,14 +123,14 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "tell", cut_off)
+        patch.setattr(runs, "report_progress", cut_off)
         with pytest.raises(KeyboardInterrupt):
-            runs.perform(cut)
-    assert (cut.folder / runs.CHECKPOINT).is_file()
+            runs.train(cut)
+    assert (cut.folder / CHECKPOINT).is_file()
     assert not cut.finished
-    runs.perform(cut)
+    runs.train(cut)
     assert cut.finished
-    assert not (cut.folder / runs.CHECKPOINT).exists()
+    assert not (cut.folder / CHECKPOINT).exists()
     assert (cut.folder / "policy.safetensors").read_bytes() == (whole.folder / "policy.safetensors").read_bytes()
     histories = [TrainingHistory.load(spec.folder / "history.json") for spec in (whole, cut)]
     for name in ("successes", "trials", "groups", "timesteps", "optimizer_steps", "transitions_used", "probes"):
@@ -173,7 +184,7 @@ def test_compare_runs_reports_and_repeats_nothing(tmp_path: Path, capsys: pytest
     assert "frontier_grpo" in (tmp_path / "table.txt").read_text()
 
 
-@pytest.mark.parametrize("arm", arms())
-def test_every_arm_builds_its_model(arm: str) -> None:
-    settings = dict(arms()[arm])
-    compare._check_settings(settings.pop("config"), settings, "can")
+@pytest.mark.parametrize("variant", variants())
+def test_every_variant_builds_its_model(variant: str) -> None:
+    settings = dict(variants()[variant])
+    check_variants({variant: (settings.pop("config"), settings)}, "can")

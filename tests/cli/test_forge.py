@@ -23,10 +23,13 @@ from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import GaveUp, PlannerOnly
 from dynaforge.tasks import get_task
+from dynaforge.training import forge as forge_training
 from dynaforge.training import model as training
 from dynaforge.training.forge_folder import ForgeFolder, asked_for
 from dynaforge.training.history import STRATA, TrainingHistory
-from dynaforge.training.model import TimeLimit, build_model, hyperparameters
+from dynaforge.training.model import build_model
+from dynaforge.training.monitor import TimeLimit
+from dynaforge.training.settings import hyperparameters
 from dynaforge.zoo.scripts import config_file
 
 
@@ -35,7 +38,8 @@ def test_forge_ends_with_demonstrations_policy_and_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = hyperparameters("frontier_grpo", "can") | {"n_groups": 4, "group_size": 2, "n_envs": 4}
-    monkeypatch.setattr(training, "hyperparameters", lambda algo, task, changes=None: small)
+    for module in (training, forge, forge_training):
+        monkeypatch.setattr(module, "hyperparameters", lambda algo, task, changes=None: small)
     out = tmp_path / "run"
     options = ["--updates", "1", "--demos", "2", "--attempts", "2", "--budget", "5m", "--workers", "1"]
     assert main(["forge", "--task", "can", *options, "--out", str(out)]) == 0

@@ -23,8 +23,8 @@ from dynaforge.generators.attempts import Result, lost
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
-from dynaforge.training.run import RunSpec
-from dynaforge.training.settings import arms
+from dynaforge.training.run_spec import RunSpec
+from dynaforge.training.settings import variants
 
 ONE = {"forge": ["--task"], "collect": ["--task"]}
 SEVERAL = {"describe": [], "evaluate": ["--task"], "compare": ["--task"], "bench": ["--task"]}
@@ -105,7 +105,7 @@ def test_collecting_notes_the_file_and_no_folder_of_it(balls: Path) -> None:
     assert json.loads(Path("again/generators.json").read_text())["planner_only"]["task_file"] == "ball.py"
 
 
-@pytest.mark.parametrize("named", [("white_noise",), pytest.param(tuple(arms()), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("named", [("white_noise",), pytest.param(tuple(variants()), marks=pytest.mark.slow)])
 def test_compare_takes_a_task_of_ones_own_in_every_arm(balls: Path, named: tuple[str, ...]) -> None:
     asked = ["--train-seeds", "1", "--out", "runs", "--algos", *named]
     by_file, by_id = (

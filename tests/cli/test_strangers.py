@@ -20,12 +20,13 @@ import pytest
 import dynaforge
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.cli import compare
 from dynaforge.cli.main import main
 from dynaforge.demos.dataset import FORMAT
 from dynaforge.demos.episode_file import FORMAT_VERSION
 from dynaforge.training import run as runs
-from dynaforge.training.run import Exam, RunSpec
+from dynaforge.training import run_pool
+from dynaforge.training.run_spec import Evaluation, RunSpec
+from dynaforge.training.stored_training import CHECKPOINT
 from dynaforge.zoo import scripts as zoo
 
 ON_DATASETS = (["info"], ["verify"], ["verify", "--replay"], ["render"], ["view"], ["export", "--format", "robomimic"])
@@ -127,11 +128,24 @@ def test_workers_of_rl_zoo3_import_nothing_of_the_current_folder(tmp_path: Path,
     assert not canary.exists()
 
 
+def ppo_run(changes: dict[str, int], folder: Path) -> RunSpec:
+    return RunSpec(
+        task="can",
+        variant="ppo",
+        algo="ppo",
+        changes=changes,
+        seed=0,
+        steps=1,
+        evaluation=Evaluation("val", 1, 1),
+        folder=folder,
+    )
+
+
 def test_a_comparison_goes_on_from_no_pickle(tmp_path: Path, canary: Path) -> None:
-    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 1, "n_steps": 512}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
-    checkpoint(spec.folder / runs.CHECKPOINT, canary)
+    spec = ppo_run({"n_envs": 1, "n_steps": 512}, tmp_path / "run")
+    checkpoint(spec.folder / CHECKPOINT, canary)
     with pytest.raises(ValueError, match="is no checkpoint of this run"):
-        runs.perform(spec)
+        runs.train(spec)
     assert not canary.exists()
 
 
@@ -141,20 +155,20 @@ def test_a_comparison_writes_its_log_through_no_link(tmp_path: Path, monkeypatch
 
     mine = tmp_path / "mine"
     mine.write_text("years of work")
-    spec = RunSpec("can", "ppo", "ppo", {}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    spec = ppo_run({}, tmp_path / "run")
     spec.folder.mkdir()
     (spec.folder / "log.txt").symlink_to(mine)
-    monkeypatch.setattr(compare.subprocess, "Popen", end)
+    monkeypatch.setattr(run_pool.subprocess, "Popen", end)
     with pytest.raises(KeyboardInterrupt):
-        compare.Crew([spec], 1, seconds=1.0)._start(spec)
+        run_pool.RunPool([spec], 1, seconds=1.0)._start(spec)
     assert mine.read_text() == "years of work"
 
 
 @pytest.mark.slow
 def test_a_comparison_does_not_look_at_a_model_of_sb3(tmp_path: Path, canary: Path) -> None:
-    spec = RunSpec("can", "ppo", "ppo", {"n_envs": 8}, 0, 1, Exam("val", 1, 1), tmp_path / "run")
+    spec = ppo_run({"n_envs": 8}, tmp_path / "run")
     checkpoint(spec.folder / "model.zip", canary)
-    runs.perform(spec)
+    runs.train(spec)
     assert spec.finished
     assert not canary.exists()
 
@@ -173,7 +187,7 @@ def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None
 OWN_WORKERS = {"sampling/vector_pool.py", "sampling/vector_worker.py", "sampling/processes.py"}
 WRITTEN_HERE = {
     "cli/bench.py", "cli/main.py", "zoo/scripts.py", "demos/exporters/__init__.py", "planning/plots_later.py",
-    "reports/extras.py", "tasks/__init__.py",
+    "generators/__init__.py", "reports/extras.py", "tasks/__init__.py",
 }  # fmt: skip
 NAMED_BY_USERS = {"zoo/envs.py", "generators/learner.py", "tasks/user_code.py"}
 RUNS_CODE = {

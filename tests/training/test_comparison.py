@@ -6,8 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynaforge.training.comparison import Comparison, StoredRun
+from dynaforge.training.comparison import Comparison
+from dynaforge.training.comparison_table import comparison_table
 from dynaforge.training.history import Probe, TrainingHistory
+from dynaforge.training.run_spec import Evaluation
+from dynaforge.training.stored_run import StoredRun
 
 STRATA = 4
 
@@ -27,11 +30,18 @@ def history(success: list[float], *, optimizer_steps: int, probes: list[list[int
     )  # fmt: skip
 
 
-def run(task: str, arm: str, seed: int, won: int, trained: TrainingHistory | None) -> StoredRun:
-    success = np.arange(10) < won
-    exam = {"stream": "val", "blocks": 1, "attempts": 10}
-    conditions = tuple(f"{task}-{k}" for k in range(10))
-    return StoredRun(task, arm, seed, {}, trained, success, conditions, ("lost",) * (10 - won), exam)
+def run(task: str, variant: str, seed: int, successes: int, trained: TrainingHistory | None) -> StoredRun:
+    return StoredRun(
+        task=task,
+        variant=variant,
+        seed=seed,
+        settings={},
+        history=trained,
+        success=np.arange(10) < successes,
+        conditions=tuple(f"{task}-{k}" for k in range(10)),
+        failures=("dropped",) * (10 - successes),
+        evaluation=Evaluation("val", 1, 10),
+    )
 
 
 SLOW = history([0.0, 0.2, 0.4, 0.4], optimizer_steps=40)
@@ -47,16 +57,16 @@ RUNS = Comparison(
 )
 
 
-def test_arms_are_compared_with_vanilla() -> None:
+def test_variants_are_compared_with_vanilla() -> None:
     assert RUNS.reference == "grpo"
-    assert RUNS.arms == ["grpo", "frontier_grpo"]
+    assert RUNS.variants == ["grpo", "frontier_grpo"]
     found = RUNS.difference("frontier_grpo", ["can"])
     assert found.difference == pytest.approx(0.4)
     assert found.interval.low < 0.4 < found.interval.high
     assert RUNS.planner("can") == pytest.approx(0.1)
 
 
-def test_the_figures_of_an_arm() -> None:
+def test_the_figures_of_a_variant() -> None:
     summary = RUNS.summary("can", "frontier_grpo")
     assert summary.rates == (0.9, 0.9)
     assert summary.optimizer_steps == 10
@@ -82,7 +92,7 @@ def test_steps_to_vanilla_without_exploration_are_those_of_three_probes() -> Non
 
 
 def test_the_table_holds_every_arm_and_the_ratios() -> None:
-    table = RUNS.table()
+    table = comparison_table(RUNS)
     row = next(line for line in table.splitlines() if "frontier_grpo" in line)
     for cell in ("90.0", "10", "+40.0", "0.25 x", "4.0", "0.40"):
         assert cell in row, cell
@@ -107,17 +117,17 @@ def test_seeds_that_end_apart_are_compared_by_their_mean_curve() -> None:
 def test_what_is_not_reached_is_a_dash() -> None:
     never = history([0.0, 0.0, 0.1, 0.1], optimizer_steps=10)
     comparison = Comparison((run("can", "grpo", 0, 5, SLOW), run("can", "ppo", 0, 1, never)))
-    row = next(line for line in comparison.table().splitlines() if "ppo" in line)
+    row = next(line for line in comparison_table(comparison).splitlines() if "ppo" in line)
     assert " - " in row
     assert "inf" not in row
 
 
-def test_strata_won_and_lost_again_are_counted() -> None:
+def test_strata_that_are_forgotten_are_counted() -> None:
     probes = [[1, 1, 0, 1], [1, 1, 0, 1], [1, 0, 1, 1], [1, 0, 1, 0], [1, 0, 0, 1]]
     lost = history([0.5] * 5, optimizer_steps=1, probes=probes)
     comparison = Comparison((run("can", "grpo", 0, 5, lost),))
     # Stratum 1 was won twice running and is lost in the last two probes; stratum 3 came back.
-    assert comparison.summary("can", "grpo").lost_again == pytest.approx(0.25)
+    assert comparison.summary("can", "grpo").forgotten == pytest.approx(0.25)
 
 
 def test_runs_measured_on_different_conditions_do_not_compare(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import yaml
 
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.main import main
-from dynaforge.training.settings import arms
+from dynaforge.training.settings import variants
 from dynaforge.zoo import scripts as zoo
 from dynaforge.zoo.flags import zoo_parser
 from dynaforge.zoo.process import ZooProcess
@@ -324,7 +324,7 @@ def test_vanilla_differs_from_the_papers_frontier_grpo_by_strata_and_filter_alon
         frontier[env_id].pop("scale_learning_rate", None)
         wanted = frontier[env_id] | {"group_filter": "none", "stratified": False}
         assert vanilla[env_id] == wanted
-    assert arms()["frontier_grpo"] == {"config": "frontier_grpo", "scale_learning_rate": None}
+    assert variants()["frontier_grpo"] == {"config": "frontier_grpo", "scale_learning_rate": None}
 
 
 def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -> None:

@@ -12,14 +12,14 @@ from dynaforge.options.parser import Distinct
 from dynaforge.options.paths import OutputPath
 from dynaforge.options.words import Choice, Text
 from dynaforge.sim.checks import shown
-from dynaforge.training.settings import arms
+from dynaforge.training.settings import variants
 from dynaforge.training.varied import check_varied
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
     add_task_argument(parser, "--task", several=True)
-    known = arms()
+    known = variants()
     parser.add_argument(
         "--algos",
         nargs="+",

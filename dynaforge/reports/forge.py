@@ -1,0 +1,76 @@
+"""The report of `dynaforge forge`: what was measured, learned and filmed, on one page."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from dynaforge.demos import Attempt
+from dynaforge.evaluation import DgrReport, PairedDifference
+from dynaforge.files.versions import package_versions
+from dynaforge.reports.film import film_clips
+from dynaforge.reports.html import ReportData, ReportFigure, write_report
+from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, stratum_heatmap
+from dynaforge.tasks import Task
+from dynaforge.training.history import TrainingHistory
+
+
+def write_forge_report(
+    page: Path,
+    task: Task,
+    policy: Path,
+    *,
+    command: str,
+    algo: str,
+    seed: int,
+    history: TrainingHistory,
+    reports: list[DgrReport],
+    paired: PairedDifference,
+    attempts: list[Attempt],
+) -> None:
+    """Write the page.
+
+    Args:
+        page: HTML file.
+        task: The task.
+        policy: File of the trained policy, for the films.
+        command: The command that made the run.
+        algo: What trained the policy.
+        seed: Training seed.
+        history: Of the training.
+        reports: DGR of the planner only, and with the residual.
+        paired: Their difference, condition by condition.
+        attempts: Those with the residual; some are filmed.
+    """
+    data = ReportData(
+        title=f"{task.env_name}: demonstrations forged",
+        task=task.name,
+        command=command,
+        date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        seeds={"training seed": seed, "conditions": "stream test, block 0"},
+        versions=package_versions(),
+        reports=reports,
+        paired=paired,
+        figures=[*_training_figures(algo, history, reports), *_measured_figures(reports)],
+        clips=film_clips(task, policy, attempts),
+        attempts=attempts,
+    )
+    write_report(page, data)
+
+
+def _training_figures(algo: str, history: TrainingHistory, reports: list[DgrReport]) -> list[ReportFigure]:
+    if len(history) < 2:
+        return []
+    curve = learning_curve({algo: history.success}, planner_only=reports[0].mean, final=reports[1].mean)
+    heatmap = stratum_heatmap(history.frontier())
+    return [
+        ReportFigure("Learning curve", "Success of exploring rollouts; trailing 20-update mean.", curve),
+        ReportFigure("Success by stratum over updates", "Red: the competence frontier.", heatmap),
+    ]
+
+
+def _measured_figures(reports: list[DgrReport]) -> list[ReportFigure]:
+    return [
+        ReportFigure("Success by difficulty", "Wilson 95 % intervals.", dgr_by_difficulty(reports)),
+        ReportFigure("Why attempts failed", "Failed attempts by reason.", failure_bars(reports)),
+    ]

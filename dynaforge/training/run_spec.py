@@ -1,0 +1,131 @@
+"""What one training run of a comparison is: its task, its variant, and how the final policy is evaluated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from dynaforge.sim import Condition
+from dynaforge.tasks import Task, get_task
+from dynaforge.tasks.digest import task_digest
+from dynaforge.training.settings import hyperparameters
+
+EVALUATED = "exam.json"
+"""The file that a run's evaluation is stored in, written last."""
+
+PLANNER_ONLY = "planner_only"
+"""The variant that trains nothing and evaluates the planner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """The conditions on which a final policy is evaluated.
+
+    Attributes:
+        stream: Condition stream.
+        blocks: Blocks of the stream.
+        attempts: Conditions per block.
+    """
+
+    stream: str = "test"
+    blocks: int = 3
+    attempts: int = 100
+
+    def conditions(self, task: Task) -> Iterator[tuple[int, Condition]]:
+        """Iterate over (block, condition)."""
+        for block in range(self.blocks):
+            for condition in islice(task.conditions.stream(self.stream, block), self.attempts):
+                yield block, condition
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSpec:
+    """A training run: what it learns, how, and how it is evaluated.
+
+    Attributes:
+        task: Task name, or path of its file.
+        variant: The configuration's name in tables; `PLANNER_ONLY` trains nothing.
+        algo: File of zoo_configs.
+        changes: Settings in which the variant differs from that file.
+        seed: Training seed.
+        steps: Environment steps; the update under way is finished.
+        evaluation: What the final policy is evaluated on.
+        folder: Where the run is stored.
+    """
+
+    task: str
+    variant: str
+    algo: str
+    changes: Mapping[str, Any]
+    seed: int
+    steps: int
+    evaluation: Evaluation
+    folder: Path
+
+    def to_json(self) -> str:
+        """Return it as one line of JSON."""
+        return json.dumps(self._stored() | {"folder": str(self.folder)})
+
+    @staticmethod
+    def from_json(text: str) -> RunSpec:
+        """Read what `to_json` wrote."""
+        data = json.loads(text)
+        variant, evaluation = data.pop("arm"), Evaluation(**data.pop("exam"))
+        return RunSpec(**data | {"variant": variant, "evaluation": evaluation, "folder": Path(data["folder"])})
+
+    def identity(self) -> dict[str, Any]:
+        """Return what identifies the run, as plain JSON data; its folder and the file of its task may move."""
+        task = get_task(self.task)
+        definition = {"task_definition": task_digest(task)} if self.task != task.name else {}
+        return self._stored() | {"task": task.name} | definition
+
+    def settings(self) -> dict[str, Any]:
+        """Return the hyperparameters: those of zoo_configs with the changes."""
+        settings = hyperparameters(self.algo, self.task, self.changes)
+        return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` says it
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run came to its end, its evaluation included."""
+        return (self.folder / EVALUATED).is_file()
+
+    def check(self) -> None:
+        """Compare the run with what its folder contains.
+
+        Raises:
+            ValueError: It contains another run, or one with settings that zoo_configs no longer has.
+        """
+        path = self.folder / "run.json"
+        if not path.is_file():
+            return
+        try:
+            metadata = json.loads(path.read_text())
+            stored = metadata["run"] | {"settings": metadata["settings"]}
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ValueError(
+                f"{path} does not describe a run ({error!r}). Choose another --out, or remove it."
+            ) from None
+        asked = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
+        # The changes are part of the settings, which are compared as a whole.
+        differ = [name for name in asked if name != "changes" and asked[name] != stored.get(name)]
+        if differ:
+            was, now = ({name: side.get(name) for name in differ} for side in (stored, asked))
+            raise ValueError(
+                f"{self.folder} holds a run with {was}, now {now} is asked for. Choose another --out, or remove it."
+            )
+
+    def _stored(self) -> dict[str, Any]:
+        """Return the fields under the names of the stored format, without the folder."""
+        return {
+            "task": self.task,
+            "arm": self.variant,
+            "algo": self.algo,
+            "changes": dict(self.changes),
+            "seed": self.seed,
+            "steps": self.steps,
+            "exam": asdict(self.evaluation),
+        }

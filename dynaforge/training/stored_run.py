@@ -1,0 +1,74 @@
+"""A finished training run, read back from its folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.geometry import one_line
+from dynaforge.training.history import TrainingHistory
+from dynaforge.training.run_spec import EVALUATED, PLANNER_ONLY, Evaluation
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StoredRun:
+    """A finished run.
+
+    Attributes:
+        task: Name of its task.
+        variant: Name of its variant; `PLANNER_ONLY` was not trained.
+        seed: Training seed.
+        settings: Hyperparameters that it was trained with.
+        history: History of its training; None for the planner.
+        success: Success of the final policy on the conditions of its evaluation, shape (C,).
+        conditions: Their ids.
+        failures: Reasons of the failures.
+        evaluation: Those conditions.
+    """
+
+    task: str
+    variant: str
+    seed: int
+    settings: dict[str, Any]
+    history: TrainingHistory | None
+    success: NDArray[np.bool_]
+    conditions: tuple[str, ...]
+    failures: tuple[str, ...]
+    evaluation: Evaluation
+
+    __repr__ = one_line
+
+    @staticmethod
+    def load(folder: Path) -> StoredRun:
+        """Read a run's folder.
+
+        Raises:
+            ValueError: A file in it is damaged.
+        """
+        try:
+            evaluated = json.loads((folder / EVALUATED).read_text())
+            metadata = json.loads((folder / "run.json").read_text()) if (folder / "run.json").is_file() else None
+            outcomes = [attempt["outcome"] for attempt in evaluated["attempts"]]
+            return StoredRun(
+                task=evaluated["task"],
+                variant=metadata["run"]["arm"] if metadata else PLANNER_ONLY,
+                seed=metadata["run"]["seed"] if metadata else 0,
+                settings=metadata["settings"] if metadata else {},
+                history=TrainingHistory.load(folder / "history.json") if metadata else None,
+                success=np.array([outcome == "success" for outcome in outcomes]),
+                conditions=tuple(attempt["id"] for attempt in evaluated["attempts"]),
+                failures=tuple(outcome for outcome in outcomes if outcome != "success"),
+                evaluation=Evaluation(**evaluated["exam"]),
+            )
+        except (json.JSONDecodeError, UnicodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{folder} holds no readable run: {type(error).__name__}: {error}.") from error
+
+    @property
+    def rate(self) -> float:
+        """Demonstration generation rate."""
+        return float(self.success.mean())
