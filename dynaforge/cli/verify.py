@@ -125,7 +125,7 @@ class Checker:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._stack.close()
 
 

@@ -31,7 +31,7 @@ Layout = Mapping[str, tuple[tuple[int, ...], str]]
 
 
 def write_observations(
-    path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], *, things: list[str], settings: str = ""
+    path: Path, episode: Episode, arrays: Mapping[str, NDArray[Any]], *, names: list[str], settings: str = ""
 ) -> None:
     """Write the observations of an episode, whole or not at all.
 
@@ -39,7 +39,7 @@ def write_observations(
         path: Where.
         episode: Of which recording.
         arrays: What `ObservationRenderer.render` returned.
-        things: What the numbers of its segmentations stand for.
+        names: What the numbers of its segmentations stand for.
         settings: Digest of the settings file beside it.
     """
     buffer = io.BytesIO()
@@ -47,7 +47,7 @@ def write_observations(
         file.attrs["episode"] = episode.id
         file.attrs["content_hash"] = episode.content_hash()
         file.attrs["settings"] = settings
-        file.attrs["things"] = json.dumps(things)
+        file.attrs["things"] = json.dumps(names)
         for name, array in arrays.items():
             image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
             pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}

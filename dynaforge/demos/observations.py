@@ -141,12 +141,12 @@ class ObservationRenderer:
             raise ValueError("No camera ever sees a point in the workspace; move a camera or widen the workspace.")
         return {name: np.stack(column) for name, column in columns.items()}
 
-    def things(self) -> list[str]:
-        """Name what the numbers of a segmentation stand for, in order."""
+    def names(self) -> list[str]:
+        """Return the names that the numbers of a segmentation stand for, in order."""
         return list(self._replayer.scene.names)
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._replayer.close()
 
 
@@ -255,9 +255,9 @@ class ObservationFolder:
         """Return those of which nothing is rendered yet."""
         return [name for name in episode_ids if not self.file_of(name).is_file()]
 
-    def write(self, episode: Episode, arrays: Mapping[str, NDArray[Any]], things: list[str]) -> None:
+    def write(self, episode: Episode, arrays: Mapping[str, NDArray[Any]], names: list[str]) -> None:
         """Write the observations of an episode, as `ObservationRenderer` made them with these settings."""
-        write_observations(self.file_of(episode.id), episode, arrays, things=things, settings=self._digest)
+        write_observations(self.file_of(episode.id), episode, arrays, names=names, settings=self._digest)
 
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
         """Read the observations of an episode, as `read_observations`."""

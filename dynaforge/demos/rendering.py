@@ -85,5 +85,5 @@ def _render(name: str) -> str:
         arrays = _renderer.render(episode)
     except (ValueError, OSError) as error:
         return str(error)
-    _folder.write(episode, arrays, _renderer.things())  # outside the try: a full disk ends the whole rendering
+    _folder.write(episode, arrays, _renderer.names())  # outside the try: a full disk ends the whole rendering
     return ""

@@ -101,7 +101,7 @@ class Replayer:
             yield state
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self.scene.close()
 
 

@@ -59,7 +59,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         return self.world.scene.picture(self._film_camera)
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._closed = True
         self.world.close()
 

@@ -109,7 +109,7 @@ class World:
         return self._step(reference, self.kinematics.forward(q), width, None, self._no_residual)
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self.scene.close()
 
     def _inside(self, target: Pose, width: float) -> tuple[Pose, float]:

@@ -51,7 +51,7 @@ class Repeater:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._env.close()
 
     def _run(self, episode: Episode, residuals: NDArray[np.float64]) -> Outcome:

@@ -76,7 +76,7 @@ class SceneRecorder:
         return Scene3D(self._task, episode, meshes, poses)
 
     def close(self) -> None:
-        """Release physics; legal twice."""
+        """Release physics; safe to call more than once."""
         self._replayer.close()
 
 

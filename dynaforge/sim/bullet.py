@@ -70,7 +70,7 @@ class Client:
         return functools.partial(getattr(pybullet, name), physicsClientId=self._id)
 
     def disconnect(self) -> None:
-        """Leave the world; legal twice."""
+        """Leave the world; safe to call more than once."""
         world, self._id = self._id, -1
         if world >= 0 and os.getpid() == self._owner:  # a forked copy has no say over it
             with contextlib.suppress(pybullet.error):

@@ -126,13 +126,13 @@ class SimScene:
         """
         client = self._bullet.client
         client.restoreState(self._saved)
-        # Bullet's broad phase remembers: pairs once in contact keep their caches, and the place in its list of pairs
-        # where it goes on looking for stale ones decides when they go, so which bodies are solved in one group, so the
-        # last bits. Steps in which nothing may collide empty the list and set that place back.
-        self._let_collide(nothing=True)
+        # Bullet's broad phase has a memory: pairs that were in contact keep their caches, and the point in its list of
+        # pairs where it resumes looking for stale ones decides when they are dropped, hence which bodies are solved in
+        # one group, hence the last bits. Steps in which nothing may collide empty the list and reset that point.
+        self._register_bodies(colliding=False)
         for _ in range(PARKED_STEPS):
             self._step_physics()
-        self._let_collide()
+        self._register_bodies(colliding=True)
         client.restoreState(self._saved)
         for name, start in self.spec.starts(condition).items():
             if isinstance(start, Placement):
@@ -143,13 +143,14 @@ class SimScene:
         self._q_reference = self.robot.q_ready
         return self.observe()
 
-    def _let_collide(self, *, nothing: bool = False) -> None:
-        """Register all with the broad phase anew, in the order of loading, which the solver works off contacts in.
+    def _register_bodies(self, *, colliding: bool) -> None:
+        """Re-register every body with the broad phase in load order: the solver processes contacts in that order.
 
-        It matters: 20 iterations do not converge, and with the robot last the hand loses one peach in ten.
+        The order matters, because 20 iterations do not converge: with the robot last, the planner fails on one peach in
+        ten.
         """
         for body, link, kind in self._colliding:
-            self._register(body, link, *(WITH_NOTHING if nothing else kind))
+            self._register(body, link, *(kind if colliding else WITH_NOTHING))
 
     def _launch(self, name: str, launch: Launch) -> None:
         client, free = self._bullet.client, self._bullet.free[name]
@@ -188,7 +189,7 @@ class SimScene:
         return self.observe()
 
     def close(self) -> None:
-        """Disconnect from physics; legal twice."""
+        """Disconnect from physics; safe to call more than once."""
         self._bullet.client.disconnect()
 
     # ---------------------------------------------------------------- what is asked of it

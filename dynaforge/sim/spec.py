@@ -169,7 +169,7 @@ class SceneSpec:
         check_callable("SceneSpec: launch", self.launch, such_as="a function of a condition")
         if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
             raise ValueError(
-                f"SceneSpec: several things are called {twice[0]!r}; every body and fixture has its own name."
+                f"SceneSpec: several bodies or fixtures are called {twice[0]!r}; each has a name of its own."
             )
         if not self.tracked:
             raise ValueError("SceneSpec: nothing in the scene moves; give it bodies, or fixtures with a joint.")

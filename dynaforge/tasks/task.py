@@ -152,17 +152,17 @@ class Task:
                 )
 
     def _check_words(self) -> None:
-        things = self.scene.names
+        names = self.scene.names
         for phase in self.phases:
             place, aimed = f"Phase {phase.name!r}", getattr(phase.target, "object", None)
             if aimed is None:
                 raise ValueError(f"{place}: target {shown(phase.target)} has no `object`, the name of what it aims at.")
-            if aimed not in things:
-                raise ValueError(unknown(place, f"aims at {shown(aimed)}", aimed, things))
+            if aimed not in names:
+                raise ValueError(unknown(place, f"aims at {shown(aimed)}", aimed, names))
             words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
             for role, word in words.items():
-                check_word(place, role, word, things)
-        check_word("Task", "impossible", self.impossible, things)
+                check_word(place, role, word, names)
+        check_word("Task", "impossible", self.impossible, names)
 
     @property
     def manipulated(self) -> str:

@@ -86,7 +86,7 @@ def check_word(place: str, role: str, word: object, names: tuple[str, ...]) -> N
         place: Where it stands, such as "Phase 'track'".
         role: What it is there, such as "done".
         word: The word; of one that is no dataclass nothing is known.
-        names: The things of the scene.
+        names: The bodies and fixtures of the scene.
 
     Raises:
         ValueError: A value that can mean nothing, or the name of an object that the scene lacks.

@@ -45,7 +45,7 @@ def test_every_task_can_be_seen(name: str) -> None:
     episode = episode_of(name, steps=3)
     renderer = ObservationRenderer(get_task(name), settings(name, "front", "side", "wrist"))
     arrays = renderer.render(episode)
-    things = renderer.things()
+    things = renderer.names()
     renderer.close()
     for camera in ("front", "side", "wrist"):
         assert arrays[f"{camera}/rgb"].shape == (3, *SMALL[::-1], 3)
@@ -112,7 +112,7 @@ def test_files_give_back_what_was_written_and_notice_damage(tmp_path: Path) -> N
     episode = episode_of("can", steps=2)
     renderer = ObservationRenderer(get_task("can"), settings("can", "front"))
     arrays, path = renderer.render(episode), tmp_path / "e.h5"
-    write_observations(path, episode, arrays, things=renderer.things(), settings="x")
+    write_observations(path, episode, arrays, names=renderer.names(), settings="x")
     renderer.close()
     back = read_observations(path)
     assert sorted(back) == sorted(arrays)

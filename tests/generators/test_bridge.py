@@ -110,7 +110,7 @@ def test_the_bridge_sees_through_the_cameras_of_an_export(can: DemonstrationData
     episode = next(iter(can))
     renderer = ObservationRenderer(task, settings)
     folder = ObservationFolder(tmp_path / "seen", settings)
-    folder.write(episode, renderer.render(episode), renderer.things())
+    folder.write(episode, renderer.render(episode), renderer.names())
     renderer.close()
     frames = next(read_frames(can, fps=FPS, observations=folder))
     bridge = ExportBridge(task, settings=settings)

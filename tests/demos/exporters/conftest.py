@@ -31,7 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> DemonstrationDataset:
     seen = ObservationFolder(folder / "observations", ObservationSettings((camera,), points=16))
     renderer = ObservationRenderer(CAN, seen.settings)
     for episode in dataset:
-        seen.write(episode, renderer.render(episode), renderer.things())
+        seen.write(episode, renderer.render(episode), renderer.names())
     renderer.close()
     return dataset
 
