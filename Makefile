@@ -10,7 +10,7 @@ STAMP := .venv/.installed
 export OMP_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-lerobot check bench clean
+.PHONY: help demo test test-slow test-lerobot check docs bench clean
 
 help: ## Print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +40,9 @@ check: $(STAMP) ## Check lint, formatting, types and the direction of imports
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(STAMP) ## Build the API reference from the docstrings into build/docs; warnings are errors
+	$(BIN)/python docs/build_api.py build/docs
+
 bench: $(STAMP) ## Measure speed against the bare simulator
 	$(BIN)/dynaforge bench $(ARGS)
 
@@ -53,6 +56,6 @@ $(STAMP): setup.cfg pyproject.toml constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(None if v >= (3, 11) else f"make: $(PYTHON) is Python {v[0]}.{v[1]}, but dynaforge needs 3.11 or newer; name one: make PYTHON=python3.11")'
 	@$(PYTHON) -c 'import platform as p, sys; sys.exit((sys.version_info[:2], p.system(), p.machine()) != ((3, 11), "Linux", "x86_64"))' || command -v c++ >/dev/null || { echo "make: PyBullet is compiled for this Python, and there is no C++ compiler: name a Python 3.11 (make PYTHON=python3.11), or install one with Python's headers (apt install g++ python3-dev)" >&2; exit 1; }
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,viser,dev]"
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e ".[zoo,report,data,viser,docs,dev]"
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt --no-deps robomimic termcolor  # its reader, not its vision models
 	@touch $(STAMP)

@@ -12,7 +12,7 @@ import pytest
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.cli.main import main
-from dynaforge.demos import schema_markdown
+from dynaforge.demos.schema import schema_markdown
 from dynaforge.reports.task_pages import page_with_picture
 from dynaforge.tasks import TASK_NAMES, get_task
 

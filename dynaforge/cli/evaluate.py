@@ -12,7 +12,9 @@ from typing import Any
 
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
-from dynaforge.evaluation import DgrReport, comparison_table, describe_gain, no_bin_lost, paired_difference, task_table
+from dynaforge.evaluation import DgrReport, comparison_table, paired_difference, task_table
+from dynaforge.evaluation.dgr import describe_gain
+from dynaforge.evaluation.statistics import no_bin_lost
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator

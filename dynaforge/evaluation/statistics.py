@@ -141,7 +141,8 @@ def _newcombe(both: int, gained: int, lost: int, neither: int, *, confidence: fl
     return Interval(low, high)
 
 
-class BootstrapDifference(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class BootstrapDifference:
     """Difference of two training algorithms with its bootstrap interval."""
 
     difference: float

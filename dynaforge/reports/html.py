@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.demos import Attempt
-from dynaforge.evaluation import DgrReport, PairedDifference, describe_gain
+from dynaforge.evaluation import DgrReport, PairedDifference
+from dynaforge.evaluation.dgr import describe_gain
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import one_line
 from dynaforge.reports.extras import load_extra

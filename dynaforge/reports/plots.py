@@ -15,8 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dynaforge.evaluation import Count, DgrReport, FrontierAnalysis, trailing_mean
-from dynaforge.evaluation.frontier import WINDOW
+from dynaforge.evaluation import DgrReport, FrontierAnalysis
+from dynaforge.evaluation.dgr import Count
+from dynaforge.evaluation.frontier import WINDOW, trailing_mean
 from dynaforge.reports.extras import load_extra
 
 Format = Literal["svg", "png"]

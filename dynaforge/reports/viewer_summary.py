@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynaforge.demos import Attempt
-from dynaforge.evaluation import Count
+from dynaforge.evaluation.dgr import Count
 from dynaforge.tasks import Task
 
 STRATA = 8

@@ -13,6 +13,30 @@ from dynaforge.sim.checks import check_callable, shown
 from dynaforge.tasks.view import PhaseView
 from dynaforge.tasks.words import ObjectName, Size
 
+__all__ = [
+    "Aligned",
+    "All",
+    "Around",
+    "AtRestOn",
+    "Clicked",
+    "Departed",
+    "Fallen",
+    "Grasped",
+    "Lifted",
+    "Narrowed",
+    "Near",
+    "Not",
+    "OnTable",
+    "Predicate",
+    "Reached",
+    "Released",
+    "RobotStopped",
+    "Touched",
+    "Upright",
+    "Within",
+]
+
+
 SUCH_AS = 'a predicate, such as Grasped("can")'
 
 

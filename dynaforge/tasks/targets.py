@@ -13,6 +13,17 @@ from dynaforge.geometry import Array, Pose, matrix_from_rotvec, rotation_z
 from dynaforge.tasks.view import PhaseView, yaw
 from dynaforge.tasks.words import ObjectName, Size
 
+__all__ = [
+    "Above",
+    "Catching",
+    "Downstream",
+    "DownstreamArc",
+    "Grip",
+    "Over",
+    "Raised",
+    "Target",
+]
+
 
 class Target(Protocol):
     """Turns a view into the desired end-effector pose `T_world_ee`."""

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from demo_episodes import make_episode
 
-from dynaforge.demos import SCHEMA, DamagedFileError, Episode, read_episode, schema_markdown, write_episode
+from dynaforge.demos import DamagedFileError, Episode
+from dynaforge.demos.episode_file import read_episode, write_episode
+from dynaforge.demos.schema import SCHEMA, schema_markdown
 from dynaforge.sim import Condition
 
 

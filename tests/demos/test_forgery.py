@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynaforge.demos import DemonstrationDataset, Episode, write_episode
+from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.consistency import contradictions
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.differences import differences
+from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.observations import (
     ObservationFolder,
     ObservationRenderer,

@@ -13,8 +13,9 @@ import pytest
 from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
-from dynaforge.demos import DemonstrationDataset, Episode, write_episode
+from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify

@@ -5,7 +5,8 @@ import json
 import pytest
 
 from dynaforge.demos import Attempt
-from dynaforge.evaluation import Count, DgrReport, Trial, comparison_table, paired_difference, task_table
+from dynaforge.evaluation import DgrReport, comparison_table, paired_difference, task_table
+from dynaforge.evaluation.dgr import Count, Trial
 from dynaforge.sim import Condition
 
 

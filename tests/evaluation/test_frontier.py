@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaforge.evaluation import analyse_frontier, trailing_mean, wilson_interval
+from dynaforge.evaluation import analyse_frontier, wilson_interval
+from dynaforge.evaluation.frontier import trailing_mean
 
 
 def test_frontier_of_a_hand_made_run():

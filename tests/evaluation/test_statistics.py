@@ -3,15 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynaforge.evaluation import (
-    bootstrap_over,
-    bootstrap_over_tasks,
-    mcnemar_exact,
-    no_bin_lost,
-    paired_difference,
-    wilson_bounds,
-    wilson_interval,
-)
+from dynaforge.evaluation import bootstrap_over_tasks, mcnemar_exact, paired_difference, wilson_interval
+from dynaforge.evaluation.statistics import bootstrap_over, no_bin_lost, wilson_bounds
 
 
 def pairs(both: int, only_a: int, only_b: int, neither: int) -> tuple[list[int], list[int]]:

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from dynaforge.demos import read_episode
+from dynaforge.demos.episode_file import read_episode
 from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale
 
 DIE_AT = """
