@@ -8,12 +8,12 @@ from itertools import islice
 
 import pytest
 
-from dynaforge.cli import verify
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.verification import read_notes
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
+from dynaforge.generators.recording_checks import VerifyOptions, check_recordings
 from dynaforge.geometry import Pose
 from dynaforge.tasks import get_task
 from dynaforge.tasks.view import PhaseView
@@ -46,8 +46,8 @@ def test_a_recording_that_ends_its_worker_is_a_finding_and_the_rest_goes_on(data
     task, names = get_task("toycar"), dataset.ids()
     x = float(dataset[names[4]].steps["object/toycar/position"][0, 0])
     deadly = replace(task, impossible=(*task.impossible, ("never", Deadly(x))))
-    asked = verify.Asked(dataset.path, deadly, read_notes(dataset), replay=True, audit=False)
-    found = list(verify.check(asked, names, 2))
+    options = VerifyOptions(folder=dataset.path, task=deadly, notes=read_notes(dataset), replay=True)
+    found = list(check_recordings(options, names, workers=2))
     assert len(found) == len(names)
     for k, findings in enumerate(found):
         told = [finding.problem for finding in findings if "task_hash" not in finding.problem]
@@ -70,12 +70,3 @@ def test_workers_find_the_same_in_the_same_order(
         path.write_bytes(data)
     assert texts[0] == texts[1]
     assert texts[0].count("do not match the hash") == len(whole)
-
-
-def test_few_open_files_make_fewer_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    resource = pytest.importorskip("resource")
-    from dynaforge.sampling.processes import affordable_workers
-
-    for limit, most in ((64, 16), (256, 112), (20, 1)):
-        monkeypatch.setattr(resource, "getrlimit", lambda _, limit=limit: (limit, limit))
-        assert affordable_workers() == most

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from dynaforge.sampling import processes
-from dynaforge.sampling.processes import usable_cores, worker_pool
+from dynaforge.sampling.processes import affordable_workers, usable_cores, worker_pool
 
 SCRIPT = """
 import os, time
@@ -189,3 +189,10 @@ open(sys.argv[1], "w").write(f"{os.pipe()} {[os.get_inheritable(k) for k in rang
     subprocess.run(shell, check=True, timeout=60)
     assert mark.read_text().endswith(" [True, True, True]")
     assert not {"(0", "(1", "(2"} & {mark.read_text().partition(",")[0]}
+
+
+def test_few_open_files_make_fewer_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource")
+    for limit, most in ((64, 16), (256, 112), (20, 1)):
+        monkeypatch.setattr(resource, "getrlimit", lambda _, limit=limit: (limit, limit))
+        assert affordable_workers() == most
