@@ -34,7 +34,7 @@ from dynaforge.sim import (
 )
 from dynaforge.sim.camera import Camera
 from dynaforge.sim.robot import RobotDescription
-from dynaforge.tasks import ConditionSpace, Phase, ResidualSpec, Task, get_task
+from dynaforge.tasks import ConditionSpace, Outcome, Phase, ResidualSpec, Task, get_task
 from dynaforge.tasks.action import ActionLayout
 
 CAN, CLOCK = get_task("can"), get_task("alarmclock")
@@ -56,7 +56,14 @@ def of(thing: Any) -> dict[str, Any]:
 
 
 def _episode() -> Episode:
-    return Episode(CONDITION, "planner", True, 4, "", "lift", 1.0, {"time": np.arange(3) / 30}, {"versions": {}})
+    return Episode(
+        condition=CONDITION,
+        generator="planner",
+        outcome=Outcome(success=True, checkpoint=4, n_checkpoints=4, phase="lift"),
+        duration=1.0,
+        steps={"time": np.arange(3) / 30},
+        meta={"versions": {}},
+    )
 
 
 CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -75,6 +82,8 @@ CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "ResidualSpec": (ResidualSpec, of(CAN.residual)),
     "Task": (Task, of(CAN)),
     "ActionLayout": (ActionLayout, of(ActionLayout())),
+    "Outcome": (Outcome, of(_episode().outcome)),
+    "Outcome.from_dict": (Outcome.from_dict, {"data": _episode().outcome.to_dict()}),
     "Episode": (Episode, of(_episode())),
     "Attempt": (Attempt, of(Attempt.of(_episode()))),
     "Provenance": (Provenance, of(Provenance("", ""))),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dynaforge.benchmarks.figure import Figure, spread, tracked
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
 from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
 from dynaforge.generators.by_name import make_generator
@@ -31,7 +31,7 @@ DEMONSTRATIONS, MOST_COLLECTING, MOST_RENDERING = 800, 4.0, 15.0  # minutes, the
 
 
 class TimedDataset(DemonstrationDataset):
-    """Counts the seconds that pass inside `add`.
+    """Counts the seconds that pass inside `record`.
 
     Attributes:
         began: When the first attempt arrived; NaN before.
@@ -40,13 +40,14 @@ class TimedDataset(DemonstrationDataset):
 
     began, cpu, wall = float("nan"), 0.0, 0.0
 
-    def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> None:
-        """Add it and note the time."""
+    def record(self, attempt: Attempt, episode: Episode | None = None) -> Attempt:
+        """Record it and note the time."""
         start, cpu = time.perf_counter(), time.thread_time()
-        super().add(episode, wall_seconds=wall_seconds, block=block)
+        noted = super().record(attempt, episode)
         self.cpu, self.wall = self.cpu + time.thread_time() - cpu, self.wall + time.perf_counter() - start
         if math.isnan(self.began):
             self.began = start
+        return noted
 
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:

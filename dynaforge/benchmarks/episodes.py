@@ -15,12 +15,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.executor import Outcome, PhaseExecutor
+from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep, World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition, SceneState
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 
 N_STRATA = 10
 MOST_DECISIONS = 1000  # more than any episode has

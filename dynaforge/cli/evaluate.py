@@ -125,9 +125,7 @@ def _write(
             {"id": a.condition.id, "block": a.block, "difficulty": round(a.difficulty, 4)}
             for a in next(iter(measured.values()))
         ],
-        "outcomes": {
-            name: [a.failure if not a.success else "success" for a in attempts] for name, attempts in measured.items()
-        },
+        "outcomes": {name: [str(a.outcome) for a in attempts] for name, attempts in measured.items()},
     }
     _write_json(path, command, data)
 

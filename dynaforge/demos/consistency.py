@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,24 +56,23 @@ def _has(steps: Steps, *names: str) -> bool:
 
 def is_planned(episode: Episode) -> bool:
     """Tell whether an episode ran a phase program; one that a learned policy acted out alone knows no phases."""
-    return episode.phase != "" or bool({"phase", "gate", "planner_action"} & set(episode.steps))
+    return episode.outcome.phase != "" or bool({"phase", "gate", "planner_action"} & set(episode.steps))
 
 
 def _outcome(episode: Episode, task: Task) -> Iterator[str]:
-    names = [phase.name for phase in task.phases]
-    last = 0
+    outcome, names, last = episode.outcome, [phase.name for phase in task.phases], 0
     if is_planned(episode):
-        if episode.phase not in names:
-            yield f"it ends in phase {episode.phase!r}, which the task does not have"
+        if outcome.phase not in names:
+            yield f"it ends in phase {outcome.phase!r}, which the task does not have"
             return
-        last = names.index(episode.phase)
-        if episode.success and last != len(names) - 1:
-            yield f"it succeeds in phase {episode.phase!r}, which is not the last"
-    reached = len(names) if episode.success else last
-    if episode.checkpoint != reached:
-        yield f"its checkpoint is {episode.checkpoint}, where its phase {episode.phase!r} makes it {reached}"
+        last = names.index(outcome.phase)
+        if outcome.success and last != len(names) - 1:
+            yield f"it succeeds in phase {outcome.phase!r}, which is not the last"
+    reached = len(names) if outcome.success else last
+    if outcome.checkpoint != reached:
+        yield f"its checkpoint is {outcome.checkpoint}, where its phase {outcome.phase!r} makes it {reached}"
     rewards = episode.steps.get("reward")
-    share = 1.0 if episode.success else reached / len(names)
+    share = replace(outcome, checkpoint=reached, n_checkpoints=len(names)).episodic_return()
     if rewards is not None and len(rewards) and abs(rewards[-1] - share) > EXACT:
         yield f"its last reward is {rewards[-1]:g}, its outcome is worth {share:g}"
 
@@ -97,8 +97,9 @@ def _program(episode: Episode, task: Task) -> Iterator[str]:
     wrong = (phase < 0) | (phase >= len(names)) | ~np.isin(np.diff(phase, prepend=0), (0, 1))
     yield from _first(wrong, "phase does not follow the task's program")
     # An episode that fails as it enters a phase has no step of it.
-    if episode.phase in names and names.index(episode.phase) - phase[-1] not in (0, 1):
-        yield f"phase ends with {phase[-1]}, the episode in {episode.phase!r}"
+    last = episode.outcome.phase
+    if last in names and names.index(last) - phase[-1] not in (0, 1):
+        yield f"phase ends with {phase[-1]}, the episode in {last!r}"
     if _has(episode.steps, "gate") and not wrong.any():
         gates = np.array([each.gate for each in task.phases])
         yield from _first(episode.steps["gate"] != gates[phase], "gate is not that of its phase")

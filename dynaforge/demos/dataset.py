@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from dynaforge.demos.episode import Episode
@@ -86,30 +86,40 @@ class DemonstrationDataset:
         if self.writable:
             self._open_for_adding()
 
-    def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> None:
-        """Record an attempt; its recording is on disk before its line in the ledger is.
+    def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> Attempt:
+        """Record the attempt that an episode was; see `record`.
+
+        Raises:
+            PermissionError, ValueError, OSError: As `record`.
+        """
+        check_kind("episode", episode, Episode)
+        return self.record(Attempt.of(episode, wall_seconds=wall_seconds, block=block), episode)
+
+    def record(self, attempt: Attempt, episode: Episode | None = None) -> Attempt:
+        """Record an attempt; its recording, where it is to be kept, is on disk before its line in the ledger is.
+
+        Args:
+            attempt: What happened.
+            episode: Its recording; None where it left none (an exception, a worker that died): it counts all the same.
+
+        Returns:
+            The attempt as the ledger holds it, with whether its recording was kept.
 
         Raises:
             PermissionError: The dataset was opened for reading only.
-            ValueError: The episode is of another task.
+            ValueError: The attempt is one at another task, or the episode is another attempt's.
             OSError: The disk is full or the folder has gone; nothing that was added before is lost.
         """
-        check_kind("episode", episode, Episode)
-        self._check(episode.condition.task)
-        kept = episode.success or self.keep_failures
-        if kept:
-            write_episode(self.file_of(episode.id), episode)
-        self.ledger.append(Attempt.of(episode, wall_seconds=wall_seconds, block=block, recorded=kept))
-
-    def record(self, attempt: Attempt) -> None:
-        """Record an attempt that left no recording (a planner failure, an exception): it counts all the same.
-
-        Raises:
-            PermissionError, ValueError, OSError: As `add`.
-        """
         check_kind("attempt", attempt, Attempt)
+        check_kind("episode", episode, (Episode, type(None)))
         self._check(attempt.condition.task)
+        if episode is not None and (episode.success or self.keep_failures):
+            if episode.id != attempt.id:
+                raise ValueError(f"The episode is {episode.id}, the attempt {attempt.id}; they must be one.")
+            write_episode(self.file_of(episode.id), episode)
+            attempt = replace(attempt, recorded=True)
         self.ledger.append(attempt)
+        return attempt
 
     def attempts(self) -> list[Attempt]:
         """Return every attempt once: those of the ledger, then those only a file tells of (killed in between)."""

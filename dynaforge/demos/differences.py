@@ -18,10 +18,11 @@ def differences(recorded: Episode, again: Episode) -> list[str]:
     Where columns differ at several steps, those that differ first are told apart: what comes later may only follow
     from them.
     """
+    noted, repeated = _end(recorded), _end(again)
     found = [
-        f"its {name} is recorded as {noted!r}, made again it is {value!r}"
-        for name in ("success", "checkpoint", "failure", "phase", "duration")
-        if (noted := getattr(recorded, name)) != (value := getattr(again, name))
+        f"its {name} is recorded as {noted[name]!r}, made again it is {value!r}"
+        for name, value in repeated.items()
+        if noted[name] != value
     ]
     found += [
         f"its {name} is not what its attempt made again gives"
@@ -29,6 +30,10 @@ def differences(recorded: Episode, again: Episode) -> list[str]:
         if name not in ELSEWHERE and recorded.meta.get(name) != value
     ]
     return found + _columns(recorded, again)
+
+
+def _end(episode: Episode) -> dict[str, Any]:
+    return episode.outcome.to_dict() | {"duration": episode.duration}
 
 
 def _columns(recorded: Episode, again: Episode) -> list[str]:

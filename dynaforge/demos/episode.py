@@ -6,15 +6,20 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, shown
+from dynaforge.sim.checks import check_kind, check_number, shown
+from dynaforge.tasks import Outcome
+
+if TYPE_CHECKING:
+    from dynaforge.demos.ledger import Attempt
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -35,40 +40,30 @@ def check_generator_name(name: Any) -> None:
         raise ValueError(f"Generator name {shown(name)} must consist of letters, digits, '.', '_' and '-'.")
 
 
-def check_outcome(kind: str, outcome: Any) -> None:
-    """Check what an episode and an attempt share.
+def check_attempt(kind: str, attempt: Episode | Attempt) -> None:
+    """Check what an episode and a line of the ledger share.
 
     Args:
-        kind: "Episode" or "Attempt".
-        outcome: The one or the other.
+        kind: "Episode" or "Attempt", for messages.
+        attempt: The one or the other.
 
     Raises:
-        ValueError: A field of the wrong type or out of range, or not exactly the failures carry a reason.
+        ValueError: A field is of the wrong type or out of range.
     """
-    check_kind(f"{kind}: condition", outcome.condition, Condition)
-    episode_id(outcome.condition, outcome.generator)
-    check_flag(f"{kind}: success", outcome.success)
-    check_whole(f"{kind}: checkpoint", outcome.checkpoint, least=0)
-    check_number(f"{kind}: duration", outcome.duration, least=0.0)
-    for name in ("failure", "phase"):
-        check_kind(f"{kind}: {name}", getattr(outcome, name), str)
-    if outcome.success and outcome.failure:
-        raise ValueError(f"A success has no failure reason, but {outcome.failure!r} was given.")
-    if not outcome.success and not outcome.failure:
-        raise ValueError("A failure needs a reason, e.g. 'timeout'.")
+    check_kind(f"{kind}: condition", attempt.condition, Condition)
+    check_generator_name(attempt.generator)
+    check_kind(f"{kind}: outcome", attempt.outcome, Outcome)
+    check_number(f"{kind}: duration", attempt.duration, least=0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Episode:
     """One attempt: condition, outcome, and what was recorded at each control step.
 
     Attributes:
         condition: What fixed the episode.
         generator: Name of what made it, e.g. "planner" or "residual".
-        success: Whether the task's success predicate was held.
-        checkpoint: Checkpoints reached, 0 to C; C on success.
-        failure: Reason in a few words, the same words for the same cause; "" on success.
-        phase: Name of the phase it ended in.
+        outcome: How it ended.
         duration: Simulated seconds.
         steps: Arrays with leading dimension T at control rate; names, shapes, units in `SCHEMA`. Read-only.
         meta: Plain JSON data: `phases` (names by index), `versions`, `policy_hash`, `task_hash`, digests, ...
@@ -76,16 +71,13 @@ class Episode:
 
     condition: Condition
     generator: str
-    success: bool
-    checkpoint: int
-    failure: str
-    phase: str
+    outcome: Outcome
     duration: float
     steps: Mapping[str, NDArray[Any]]
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_outcome("Episode", self)
+        check_attempt("Episode", self)
         check_kind("Episode: steps", self.steps, Mapping)
         check_kind("Episode: meta", self.meta, Mapping)
         try:
@@ -96,8 +88,8 @@ class Episode:
         object.__setattr__(self, "meta", MappingProxyType(meta))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        outcome = (self.success, self.checkpoint, self.failure, self.phase, self.duration)
-        return Episode, (self.condition, self.generator, *outcome, dict(self.steps), dict(self.meta))
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return partial(Episode, **given | {"steps": dict(self.steps), "meta": dict(self.meta)}), ()
 
     def __len__(self) -> int:
         return len(self.steps["time"]) if self.steps else 0
@@ -111,15 +103,17 @@ class Episode:
         """Condition id and generator: also the file's name."""
         return episode_id(self.condition, self.generator)
 
+    @property
+    def success(self) -> bool:
+        """Whether the task's success predicate was held."""
+        return self.outcome.success
+
     def header(self) -> dict[str, Any]:
         """Return everything but the arrays as plain JSON data."""
         return {
             "condition": self.condition.to_dict(),
             "generator": self.generator,
-            "success": bool(self.success),
-            "checkpoint": int(self.checkpoint),
-            "failure": self.failure,
-            "phase": self.phase,
+            **self.outcome.to_dict(),
             "duration": float(self.duration),
             "meta": dict(self.meta),
         }
@@ -131,12 +125,17 @@ class Episode:
         Raises:
             ValueError: A field is missing, unknown or of another type, or the arrays do not fit the schema.
         """
-        names = ("generator", "success", "checkpoint", "failure", "phase", "duration")
-        if missing := [name for name in (*names, "condition", "meta") if name not in header]:
+        if missing := [name for name in ("condition", "generator", "duration", "meta") if name not in header]:
             raise ValueError(f"Episode header lacks {missing}.")
         check_meta(header["meta"])
-        fields: dict[str, Any] = {name: header[name] for name in names}
-        episode = Episode(Condition.from_dict(header["condition"]), **fields, steps=steps, meta=header["meta"])
+        episode = Episode(
+            condition=Condition.from_dict(header["condition"]),
+            generator=header["generator"],
+            outcome=Outcome.from_dict(header),
+            duration=header["duration"],
+            steps=steps,
+            meta=header["meta"],
+        )
         if episode.header() != dict(header):
             raise ValueError("Episode header is not one that an episode writes: unknown or rounded values.")
         return episode

@@ -12,22 +12,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynaforge.demos.episode import Episode, check_outcome, episode_id
+from dynaforge.demos.episode import Episode, check_attempt, episode_id
 from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
 from dynaforge.files.atomic import naming
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
+from dynaforge.tasks.outcome import STORED, Outcome
 
 LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
 LINE = 2**20  # bytes of a line at most
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """The outcome of one attempt, without its recording.
+    """A line of the ledger: one attempt, without its recording.
 
     Attributes:
-        condition, generator, success, checkpoint, failure, phase, duration: As in `Episode`.
+        condition, generator, outcome, duration: As in `Episode`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
         block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
         recorded: Whether its recording was kept.
@@ -35,17 +36,14 @@ class Attempt:
 
     condition: Condition
     generator: str
-    success: bool
-    checkpoint: int
-    failure: str
-    phase: str
+    outcome: Outcome
     duration: float
     wall_seconds: float = 0.0
     block: int = 0
     recorded: bool = False
 
     def __post_init__(self) -> None:
-        check_outcome("Attempt", self)
+        check_attempt("Attempt", self)
         check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
         check_whole("Attempt: block", self.block, least=0)
         check_flag("Attempt: recorded", self.recorded)
@@ -60,20 +58,27 @@ class Attempt:
         """Nominal difficulty of the condition, in the task's unit."""
         return self.condition.difficulty
 
+    @property
+    def success(self) -> bool:
+        """Whether it succeeded."""
+        return self.outcome.success
+
+    @property
+    def failure(self) -> str:
+        """Why it failed; "" on success."""
+        return self.outcome.failure
+
     @staticmethod
     def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
-        """Take the outcome out of an episode."""
+        """Return the line of an episode."""
         return Attempt(
-            episode.condition,
-            episode.generator,
-            episode.success,
-            episode.checkpoint,
-            episode.failure,
-            episode.phase,
-            episode.duration,
-            wall_seconds,
-            block,
-            recorded,
+            condition=episode.condition,
+            generator=episode.generator,
+            outcome=episode.outcome,
+            duration=episode.duration,
+            wall_seconds=wall_seconds,
+            block=block,
+            recorded=recorded,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -81,10 +86,7 @@ class Attempt:
         return {
             "condition": self.condition.to_dict(),
             "generator": self.generator,
-            "success": bool(self.success),
-            "checkpoint": int(self.checkpoint),
-            "failure": self.failure,
-            "phase": self.phase,
+            **self.outcome.to_dict(),
             "duration": float(self.duration),
             "wall_seconds": float(self.wall_seconds),
             "block": int(self.block),
@@ -99,8 +101,9 @@ class Attempt:
             ValueError: Fields are missing or unknown.
         """
         try:
-            return Attempt(**{**data, "condition": Condition.from_dict(data["condition"])})
-        except (KeyError, TypeError) as error:
+            rest = {name: value for name, value in data.items() if name not in (*STORED, "condition")}
+            return Attempt(condition=Condition.from_dict(data["condition"]), outcome=Outcome.from_dict(data), **rest)
+        except (AttributeError, KeyError, TypeError) as error:
             raise ValueError(f"Not an attempt: {error}.") from error
 
 

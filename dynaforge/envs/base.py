@@ -68,10 +68,10 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
             raise RuntimeError("This env is closed; make a new one.")
 
     def _chosen(self, options: dict[str, Any] | None) -> Condition:
-        """Read the condition from reset options, or draw one.
+        """Read the condition from reset options, or draw one; whether it is one of this task `World.reset` checks.
 
         Raises:
-            ValueError: An unknown option, or a condition that is not this task's.
+            ValueError: An unknown option, or something else than a condition.
             RuntimeError: The env is closed.
         """
         self._must_be_open()
@@ -85,7 +85,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
             condition = Condition.from_dict(condition)
         if not isinstance(condition, Condition):
             raise ValueError(f"options['condition'] must be a Condition or its dict, got {type(condition).__name__}.")
-        return self.task.conditions.validate(condition)
+        return condition
 
     def _checked(self, action: Any) -> Array:
         """Return an action as numbers.

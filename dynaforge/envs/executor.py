@@ -9,7 +9,7 @@ import numpy as np
 from dynaforge.geometry import Array, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, SceneState
-from dynaforge.tasks import Mode, Phase, Task
+from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
 from dynaforge.tasks.view import PhaseView, heading_frames
@@ -44,27 +44,6 @@ class PlannedAction:
     gate: bool
     phase: int
     sample: JointSample | None
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How an episode ended.
-
-    Attributes:
-        success: y of Eq. 6.
-        checkpoint: c of Eq. 6: phases completed in order; C on success, less otherwise.
-        failure: The reason, empty on success.
-        phase: Name of the phase it ended in.
-    """
-
-    success: bool
-    checkpoint: int
-    failure: str
-    phase: str
-
-    def episodic_return(self, n_checkpoints: int) -> float:
-        """R of Eq. 6: 1 on success, else the share of checkpoints passed."""
-        return 1.0 if self.success else self.checkpoint / n_checkpoints
 
 
 class PhaseExecutor:
@@ -116,8 +95,7 @@ class PhaseExecutor:
             if phase.takes_hold:
                 self._grasp = state
             if self.index + 1 == len(self.task.phases):
-                self.outcome = Outcome(True, self.task.n_checkpoints, "", phase.name)
-                return None
+                return self._end(checkpoint=self.task.n_checkpoints)
             return self._enter(self.index + 1, state, reference)
         if self._steps * self._dt >= phase.timeout - 1e-9:
             return self._fail(phase.failure)
@@ -189,4 +167,13 @@ class PhaseExecutor:
         )
 
     def _fail(self, reason: str) -> None:
-        self.outcome = Outcome(False, self.index, reason, self.phase.name)
+        self._end(checkpoint=self.index, failure=reason)
+
+    def _end(self, *, checkpoint: int, failure: str = "") -> None:
+        self.outcome = Outcome(
+            success=not failure,
+            checkpoint=checkpoint,
+            n_checkpoints=self.task.n_checkpoints,
+            failure=failure,
+            phase=self.phase.name,
+        )

@@ -96,8 +96,9 @@ class ResidualEnv(WorldEnv):
             ValueError: An unknown option, or a condition that is not this task's.
         """
         super().reset(seed=seed)
-        self._condition = self._chosen(options)
-        self._begin(self._condition)
+        condition = self._chosen(options)
+        self._begin(condition)
+        self._condition = condition
         if self.gate_mode == "skip":
             self._run_until_gate()
         self._filmed, self._fresh = False, True
@@ -191,13 +192,7 @@ class ResidualEnv(WorldEnv):
         reward = 0.0
         if outcome is not None:
             assert self._condition is not None
-            reward = outcome.episodic_return(self.task.n_checkpoints)
-            info |= {
-                "is_success": outcome.success,
-                "checkpoint": outcome.checkpoint,
-                "failure": outcome.failure,
-                "phase": outcome.phase,
-                "condition_id": self._condition.id,
-                "difficulty": self._condition.difficulty,
-            }
+            reward = outcome.episodic_return()
+            info |= outcome.as_info()
+            info |= {"condition_id": self._condition.id, "difficulty": self._condition.difficulty}
         return self._observation(), reward, outcome is not None, False, info

@@ -13,7 +13,7 @@ from dynaforge.geometry import Array, Pose
 from dynaforge.sim import SceneState
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.state import BODY_COLUMNS
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.action import ActionLayout
 from dynaforge.tasks.success import SuccessJudge
 
@@ -76,9 +76,11 @@ class TaskEnv(WorldEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode; `options={"condition": ...}` fixes it."""
         super().reset(seed=seed)
-        self._condition = self._chosen(options)
-        self._state = self.world.reset(self._condition)
+        condition = self._chosen(options)
+        self._state = self.world.reset(condition)
+        self._condition = condition
         self._success = SuccessJudge(self.task, self._state)
+        self.outcome: Outcome | None = None
         return self._observation(), {"condition_id": self._condition.id}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -93,12 +95,13 @@ class TaskEnv(WorldEnv):
         values = self._checked(action)
         values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
         self._state = self._move(values)
-        success, failure = self._judge()
-        info: dict[str, Any] = {"is_success": success}
-        if success or failure:
+        self.outcome = self._judged()
+        info: dict[str, Any] = {"is_success": False}
+        if self.outcome is not None:
             assert self._condition is not None
-            info |= {"failure": failure, "condition_id": self._condition.id, "difficulty": self._condition.difficulty}
-        return self._observation(), float(success), bool(success or failure), False, info
+            info |= self.outcome.as_info()
+            info |= {"condition_id": self._condition.id, "difficulty": self._condition.difficulty}
+        return self._observation(), float(info["is_success"]), self.outcome is not None, False, info
 
     def _move(self, action: Array) -> SceneState:
         width = self.action_layout.width(action)
@@ -113,16 +116,20 @@ class TaskEnv(WorldEnv):
         except ValueError:  # no rotation; what is learned from scratch comes by such corners of the action space
             return Pose(self.world.kinematics.forward(self.world.reference.q).rotation, action[:3])
 
-    def _judge(self) -> tuple[bool, str]:
-        """Tell whether the task's success has held long enough, and the reason of a failure."""
+    def _judged(self) -> Outcome | None:
+        """Return how the episode ends: whether the task's success has held long enough; None where it goes on."""
         state = self._state
         success = self._success.push(state)
         for reason, holds in self.task.endings:
             if holds(self._success.view, state.ee):
-                return False, reason
+                return self._ended(failure=reason)
         if success:
-            return True, ""
-        return False, "timeout" if state.time >= self.task.time_limit - 1e-9 else ""
+            return self._ended()
+        return self._ended(failure="timeout") if state.time >= self.task.time_limit - 1e-9 else None
+
+    def _ended(self, *, failure: str = "") -> Outcome:
+        n = self.task.n_checkpoints  # without a phase program the last checkpoint is the only one
+        return Outcome(success=not failure, checkpoint=0 if failure else n, n_checkpoints=n, failure=failure)
 
     def _observation(self) -> Observation:
         return observe_flat(self._state, self.task)

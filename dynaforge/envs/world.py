@@ -70,7 +70,11 @@ class World:
         self._no_residual = np.zeros(7)
 
     def reset(self, condition: Condition) -> SceneState:
-        """Put scene and command at t = 0 of a condition of this task."""
+        """Put scene and command at t = 0 of a condition.
+
+        Raises:
+            ValueError: It is not a condition of this task; nothing has changed then.
+        """
         self.state = self.scene.reset(self.task.conditions.validate(condition))
         robot = self.scene.robot
         self.reference = self.local.reset(robot.q_ready, robot.width_max)

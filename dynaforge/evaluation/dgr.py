@@ -16,7 +16,7 @@ from rich.table import Table
 from dynaforge.evaluation.statistics import Interval, PairedDifference, wilson_interval
 
 
-class Outcome(Protocol):
+class AttemptRecord(Protocol):
     """What a report needs to know of an attempt; `dynaforge.demos.Attempt` and `Trial` fit."""
 
     @property
@@ -38,7 +38,7 @@ class Outcome(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A bare outcome, for attempts that are only counted."""
+    """A bare `AttemptRecord`, for attempts that are only counted."""
 
     difficulty: float
     success: bool
@@ -86,7 +86,7 @@ class DgrReport:
 
     @staticmethod
     def from_attempts(
-        attempts: Iterable[Outcome], *, difficulty_range: tuple[float, float], n_bins: int = 8, label: str = ""
+        attempts: Iterable[AttemptRecord], *, difficulty_range: tuple[float, float], n_bins: int = 8, label: str = ""
     ) -> DgrReport:
         """Count attempts.
 
@@ -101,8 +101,8 @@ class DgrReport:
         low, high = difficulty_range
         if not records or n_bins < 1 or not high > low:
             raise ValueError("A report needs attempts, at least one bin and a difficulty range (low, high).")
-        bins: list[list[Outcome]] = [[] for _ in range(n_bins)]
-        blocks: dict[int, list[Outcome]] = {}
+        bins: list[list[AttemptRecord]] = [[] for _ in range(n_bins)]
+        blocks: dict[int, list[AttemptRecord]] = {}
         for record in records:
             bins[_bin(record.difficulty, low, high, n_bins)].append(record)
             blocks.setdefault(record.block, []).append(record)
@@ -235,7 +235,7 @@ def _bin(difficulty: float, low: float, high: float, n_bins: int) -> int:
     return min(int((difficulty - low) / (high - low) * n_bins), n_bins - 1)
 
 
-def _count(records: Sequence[Outcome]) -> Count:
+def _count(records: Sequence[AttemptRecord]) -> Count:
     return Count(sum(bool(record.success) for record in records), len(records))
 
 

@@ -14,7 +14,7 @@ from dynaforge.demos import Attempt, Episode
 from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sampling.processes import guard_hint, kill_pool, usable_cores, worker_pool
 from dynaforge.sim import Condition
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.user_code import in_one_line
 
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
@@ -30,6 +30,10 @@ class Result:
 
     attempt: Attempt
     episode: Episode | None
+
+    def in_block(self, block: int) -> Result:
+        """Return the same attempt as one of a block of conditions."""
+        return replace(self, attempt=replace(self.attempt, block=block))
 
 
 _env: Any = None
@@ -64,8 +68,7 @@ def run_attempts(
     try:
         crew.hand_out(islice(source, 2 * crew.size))
         while crew.running:
-            result = crew.next_result()
-            yield replace(result, attempt=replace(result.attempt, block=block))
+            yield crew.next_result().in_block(block)
             crew.hand_out(islice(source, 1))
     finally:
         crew.kill()
@@ -158,5 +161,5 @@ def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result
 
 def lost(condition: Condition, generator: str, reason: str) -> Result:
     """Return the failed attempt that stands for one that left nothing."""
-    attempt = Attempt(condition, generator, success=False, checkpoint=0, failure=reason, phase="", duration=0.0)
-    return Result(attempt, None)
+    outcome = Outcome(success=False, checkpoint=0, failure=reason)
+    return Result(Attempt(condition=condition, generator=generator, outcome=outcome, duration=0.0), None)

@@ -128,8 +128,8 @@ def acts_again(bridge: ExportBridge, condition: Condition, actions: NDArray[Any]
         actions: Shape (T, d).
     """
     bridge.env.reset(options={"condition": condition})
-    done, info, k = False, dict[str, Any](), 0
-    while not done:
-        _, _, done, _, info = bridge.env.step(actions[min(k, len(actions) - 1)])
+    k = 0
+    while bridge.env.outcome is None:
+        bridge.env.step(actions[min(k, len(actions) - 1)])
         k += 1
-    return bool(info["is_success"])
+    return bridge.env.outcome.success

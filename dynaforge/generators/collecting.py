@@ -1,4 +1,10 @@
-"""Collecting demonstrations: attempt conditions of a stream until there are enough; go on after any interruption."""
+"""Collecting demonstrations: attempt conditions of a stream until there are enough; go on after any interruption.
+
+What the folder already holds of a generator counts toward the goal and is not attempted again, so the same call goes
+on after an interruption, which costs only the attempts under way. Attempts under way when the goal is reached are
+recorded too: whether an attempt counts must not depend on how it ends. So the attempts are a prefix of the stream. The
+same holds for giving up, unless one of those under way succeeds after all.
+"""
 
 from __future__ import annotations
 
@@ -91,14 +97,8 @@ def collect(
 ) -> list[Attempt]:
     """Attempt conditions until the goal is reached, each attempt recorded as it ends.
 
-    What the folder holds of this generator counts toward the goal and is not attempted again, so the same call goes on
-    after an interruption, which costs the attempts under way; only what lost its recording is made again. Attempts
-    under way when the goal is reached are recorded too: whether an attempt counts must not depend on how it ends. So
-    the attempts are a prefix of the stream. The same holds for giving up, from which a success of those under way
-    turns back; what was found in the folder counts toward it as well.
-
     Args:
-        dataset: Open for adding.
+        dataset: Open for adding. What it holds of this generator counts, too.
         task: The task.
         generator: What attempts.
         goal: When to end.
@@ -112,51 +112,93 @@ def collect(
 
     Raises:
         ValueError: The folder holds attempts of another policy, or with another definition of the task; or an argument
-            is none.
+            is malformed.
         GaveUp: So many attempts in a row failed that there is no hope, see `Goal`.
     """
-    for name, value, kind in (("dataset", dataset, DemonstrationDataset), ("task", task, Task), ("goal", goal, Goal)):
-        check_kind(name, value, kind)
-    check_kind("source", source, (Source, type(None)))
+    source = Source() if source is None else source
+    _check_arguments(dataset, task, goal, source, workers)
+    dataset.note_source(generator.name, _provenance(generator, task))
+    progress = _Progress(dataset, generator.name, goal, source.conditions(task), tell)
+    while not progress.reached:
+        progress.check_hope()
+        for result in engine(task, generator, progress.missing(), block=source.block, workers=workers):
+            progress.record(result)
+    return progress.done
+
+
+def _check_arguments(dataset: object, task: object, goal: object, source: object, workers: object) -> None:
+    check_kind("dataset", dataset, DemonstrationDataset)
+    check_kind("task", task, Task)
+    check_kind("goal", goal, Goal)
+    check_kind("source", source, Source)
     if workers is not None:
         check_whole("workers", workers, least=1)
-    made_by = Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task))
-    dataset.note_source(generator.name, made_by)
-    lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
-    held = {a.condition.id: a for a in dataset.attempts() if a.generator == generator.name and a.id not in lost}
-    source = source or Source()
-    done: list[Attempt] = []
-    under_way = failures = 0  # the latter in a row
-    conditions = source.conditions(task)
 
-    def note(attempt: Attempt) -> None:
-        nonlocal failures
-        failures = 0 if attempt.success else failures + 1
-        done.append(attempt)
-        tell(attempt)
 
-    def missing() -> Iterator[Condition]:
-        nonlocal under_way, conditions
-        for condition in conditions:
-            if condition.id in held:
-                note(held[condition.id])
-            elif goal.reached(done, under_way) or goal.hopeless(failures):
-                conditions = chain((condition,), conditions)  # those under way decide whether it is wanted after all
+def _provenance(generator: Generator, task: Task) -> Provenance:
+    return Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task))
+
+
+class _Progress:
+    """How far collecting has come along its stream of conditions.
+
+    Args:
+        dataset: Where attempts are recorded. What it holds of the generator, whole, is not attempted again.
+        generator: Name of what attempts.
+        goal: When to end.
+        conditions: The stream.
+        tell: Called with every attempt, in the order of the stream.
+
+    Attributes:
+        done: All attempts, those found in the dataset included.
+    """
+
+    def __init__(
+        self,
+        dataset: DemonstrationDataset,
+        generator: str,
+        goal: Goal,
+        conditions: Iterator[Condition],
+        tell: Callable[[Attempt], None],
+    ) -> None:
+        self._dataset, self._goal, self._conditions, self._tell = dataset, goal, conditions, tell
+        lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
+        found = (a for a in dataset.attempts() if a.generator == generator and a.id not in lost)
+        self._found = {attempt.condition.id: attempt for attempt in found}
+        self._generator = generator
+        self._under_way = self._failures = 0  # the latter in a row
+        self.done: list[Attempt] = []
+
+    @property
+    def reached(self) -> bool:
+        """Whether the goal needs no attempt beside those done and under way."""
+        return self._goal.reached(self.done, self._under_way)
+
+    def check_hope(self) -> None:
+        """Raise GaveUp if too many attempts in a row failed."""
+        if self._goal.hopeless(self._failures):
+            raise GaveUp(f"No success in {self._failures} attempts in a row by {self._generator!r}", self.done)
+
+    def missing(self) -> Iterator[Condition]:
+        """Yield the conditions still to be attempted, for as long as there is need and hope."""
+        for condition in self._conditions:
+            if condition.id in self._found:
+                self._note(self._found[condition.id])
+            elif self.reached or self._goal.hopeless(self._failures):
+                # Those under way decide whether it is wanted after all.
+                self._conditions = chain((condition,), self._conditions)
                 return
             else:
-                under_way += 1
+                self._under_way += 1
                 yield condition
 
-    while True:
-        for result in engine(task, generator, missing(), block=source.block, workers=workers):
-            attempt = result.attempt
-            if result.episode is None:
-                dataset.record(attempt)
-            else:
-                dataset.add(result.episode, wall_seconds=attempt.wall_seconds, block=attempt.block)
-            under_way -= 1
-            note(attempt)
-        if goal.reached(done, 0):
-            return done
-        if goal.hopeless(failures):
-            raise GaveUp(f"No success in {failures} attempts in a row by {generator.name!r}", done)
+    def record(self, result: Result) -> None:
+        """Record an attempt at a condition that `missing` gave out."""
+        attempt = self._dataset.record(result.attempt, result.episode)
+        self._under_way -= 1
+        self._note(attempt)
+
+    def _note(self, attempt: Attempt) -> None:
+        self._failures = 0 if attempt.success else self._failures + 1
+        self.done.append(attempt)
+        self._tell(attempt)

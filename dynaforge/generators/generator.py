@@ -14,12 +14,11 @@ from dynaforge.demos import Episode
 from dynaforge.demos.episode import check_generator_name
 from dynaforge.demos.schema import state_digests
 from dynaforge.envs.base import WorldEnv
-from dynaforge.envs.executor import Outcome
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_callable, check_kind, check_number, finite_array
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.digest import task_digest
 
 PACKAGES = ("dynaforge", "pybullet", "pin", "toppra", "ruckig", "numpy")
@@ -102,16 +101,13 @@ def episode_of(
         generator: Name of what made it.
         policy_hash: Digest of the policy; "" without one.
     """
-    steps = recorder.arrays(outcome.episodic_return(env.task.n_checkpoints))
+    steps = recorder.arrays(outcome.episodic_return())
     touched = steps["left_contact"] | steps["right_contact"] if steps else None
     planned = steps["phase"] >= env.task.contact_phase if "phase" in steps else None
     return Episode(
         condition=condition,
         generator=generator,
-        success=outcome.success,
-        checkpoint=outcome.checkpoint,
-        failure=outcome.failure,
-        phase=outcome.phase,
+        outcome=outcome,
         duration=env.world.state.time,
         steps=steps,
         meta={

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from dynaforge.demos import Episode
 from dynaforge.demos.observations import ObservationSettings
-from dynaforge.envs.executor import Outcome
 from dynaforge.generators.bridge import EXPORTED, ExportBridge
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
@@ -81,13 +80,13 @@ class LearnerGenerator:
             observation = env.reset(condition)
             if forget := getattr(self._learner, "reset", None):
                 forget()
-            done, info = False, dict[str, Any]()
+            done = False
             while not done:
-                observation, _, done, _, info = env.step(self._learner(observation))
+                observation, _, done, _, _ = env.step(self._learner(observation))
         finally:
             world.listeners.remove(recorder)
-        outcome = Outcome(info["is_success"], task.n_checkpoints if info["is_success"] else 0, info["failure"], "")
-        return episode_of(env.env, recorder, outcome, condition, generator=self.name, policy_hash="")
+        assert env.env.outcome is not None
+        return episode_of(env.env, recorder, env.env.outcome, condition, generator=self.name, policy_hash="")
 
 
 def load_function(source: str) -> Callable[[str], Learner]:

@@ -42,7 +42,7 @@ class Oracle:
             action = rng.uniform(-1.0, 1.0, shape) if k else np.zeros(shape)
             policy = ConstantResidual(action.astype(np.float32))
             episode = ResidualGenerator(policy, name=self.name).attempt(env, condition)
-            if best is None or episode.checkpoint > best.checkpoint:
+            if best is None or episode.outcome.checkpoint > best.outcome.checkpoint:
                 best = episode
             if episode.success:
                 return episode

@@ -6,7 +6,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_once, lost
@@ -62,14 +62,13 @@ def run_attempts_on_ray(
     try:
         crew.hand_out(source)
         while crew.running:
-            result = crew.next_result()
-            yield replace(result, attempt=replace(result.attempt, block=block))
+            yield crew.next_result().in_block(block)
             crew.hand_out(source)
     finally:
         crew.kill()
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class _Attempt:
     """An attempt under way.
 
@@ -109,7 +108,7 @@ class _Crew:
             condition = next(source, None)
             if condition is None:
                 return
-            self.running.append(_Attempt(condition))
+            self.running.append(_Attempt(condition=condition))
             self._give(self.running[-1], k)
 
     def next_result(self) -> Result:

@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos import Episode
-from dynaforge.envs.executor import Outcome
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
 from dynaforge.geometry import Array
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 
 ROUNDING = 1.0 + 1e-9  # of a residual that lies on its bound
 
@@ -70,8 +69,13 @@ class Repeater:
             state = world.execute(executor.action, held)
             executor.advance(state, world.reference)
             left = max(left - 1, 0)
-        goes_on = Outcome(False, executor.index, "it goes on after its last recorded step", executor.phase.name)
-        return executor.outcome or goes_on
+        return executor.outcome or Outcome(
+            success=False,
+            checkpoint=executor.index,
+            n_checkpoints=self._env.task.n_checkpoints,
+            failure="it goes on after its last recorded step",
+            phase=executor.phase.name,
+        )
 
     def _possible(self, residual: Array) -> Array:
         """Return what of a residual, shape (7,), in physical units, lies within the scales that it has now."""

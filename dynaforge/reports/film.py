@@ -85,10 +85,8 @@ def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int =
         clips = []
         for attempt in chosen[0] + chosen[1]:
             episode, frames = film(env, generator, attempt.condition)
-            caption = f"difficulty {attempt.difficulty:.2f}, ended in phase {episode.phase}"
-            clips.append(
-                Clip(encode_mp4(frames, fps=15), attempt.condition.id, episode.success, episode.failure, caption)
-            )
+            caption = f"difficulty {attempt.difficulty:.2f}, ended in phase {episode.outcome.phase}"
+            clips.append(Clip(encode_mp4(frames, fps=15), attempt.condition.id, episode.outcome, caption))
         return clips
     finally:
         env.close()

@@ -17,6 +17,7 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import one_line
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.template import PAGE, STYLE
+from dynaforge.tasks import Outcome
 
 MOST_ATTEMPTS = 500
 
@@ -34,12 +35,11 @@ class ReportFigure:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A filmed attempt: MP4 bytes, which condition it was, how it ended and why."""
+    """A filmed attempt: MP4 bytes, which condition it was, and how it ended."""
 
     mp4: bytes
     condition_id: str
-    success: bool
-    failure: str = ""
+    outcome: Outcome
     caption: str = ""
 
     __repr__ = one_line

@@ -65,9 +65,9 @@ FIGURE = """<figure class="card"><img src="{{ figure.image | image_url }}" alt="
 """
 
 PAGE = (
-    """{% macro outcome(one) -%}
-{% if one.success %}<span class="good">✓ success</span>
-{%- else %}<span class="bad">✗ {{ one.failure }}</span>
+    """{% macro told(outcome) -%}
+{% if outcome.success %}<span class="good">✓ success</span>
+{%- else %}<span class="bad">✗ {{ outcome.failure }}</span>
 {%- endif %}
 {%- endmacro -%}
 {% set title = data.title %}
@@ -122,7 +122,7 @@ PAGE = (
 <div class="clips">
 {% for clip in data.clips %}
 <figure class="card"><video controls muted loop playsinline preload="metadata" src="{{ clip.mp4 | video_url }}"></video>
-<figcaption>{{ outcome(clip) }}
+<figcaption>{{ told(clip.outcome) }}
 · {{ clip.caption }}<br><code>{{ clip.condition_id }}</code></figcaption></figure>
 {% endfor %}
 </div>
@@ -154,8 +154,9 @@ PAGE = (
 {% for one in shown %}
 <tr><td><code>{{ one.condition.id }}</code></td><td class="text">{{ one.generator }}</td>
 <td>{{ "%.3g" | format(one.difficulty) }}</td>
-<td class="text">{{ outcome(one) }}</td>
-<td class="text">{{ one.phase }}</td><td>{{ one.checkpoint }}</td><td>{{ "%.2f" | format(one.duration) }} s</td></tr>
+<td class="text">{{ told(one.outcome) }}</td>
+<td class="text">{{ one.outcome.phase }}</td><td>{{ one.outcome.checkpoint }}</td>
+<td>{{ "%.2f" | format(one.duration) }} s</td></tr>
 {% endfor %}
 </table></div></details>
 </section>

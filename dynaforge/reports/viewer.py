@@ -69,11 +69,11 @@ def write_viewer(
 
 
 def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, Any]:
-    units = task.conditions.units
+    units, outcome = task.conditions.units, attempt.outcome
     return {
-        "id": attempt.id, "ok": attempt.success, "failure": attempt.failure, "difficulty": _figures(attempt.difficulty),
+        "id": attempt.id, "ok": outcome.success, "failure": outcome.failure, "difficulty": _figures(attempt.difficulty),
         "stratum": task.conditions.stratum(attempt.difficulty, STRATA), "generator": attempt.generator,
-        "phase": attempt.phase, "checkpoint": attempt.checkpoint, "duration": round(attempt.duration, 2),
+        "phase": outcome.phase, "checkpoint": outcome.checkpoint, "duration": round(attempt.duration, 2),
         "values": [
             [name, _figures(value), units.get(name, "")] for name, value in sorted(attempt.condition.values.items())
         ],
@@ -89,7 +89,7 @@ def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> s
         )
     if attempt.success or attempt.recorded:
         return "Its recording was kept, but it is gone from the folder. `dynaforge collect`, as before, makes it again."
-    if not attempt.phase:
+    if not attempt.outcome.phase:
         return "This attempt ended before there was anything to record."
     return (
         "The recording of this failure was not kept, since `dynaforge collect` keeps those of successes only. "

@@ -10,6 +10,7 @@ from pathlib import Path
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
 from dynaforge.sim.checks import shown
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
+from dynaforge.tasks.outcome import Outcome
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 from dynaforge.tasks.task_file import task_of_file
 
@@ -18,6 +19,7 @@ __all__ = [
     "TASK_NAMES",
     "ConditionSpace",
     "Mode",
+    "Outcome",
     "Phase",
     "ResidualSpec",
     "Task",

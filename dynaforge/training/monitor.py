@@ -11,7 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.tasks import ConditionSpace
+from dynaforge.tasks import ConditionSpace, Outcome
 from dynaforge.training.history import STRATA, TrainingHistory
 from dynaforge.training.sparkline import sparkline
 
@@ -57,7 +57,8 @@ class TrainingMonitor(BaseCallback):
             info = infos[row]
             stratum = self._conditions.stratum(info["difficulty"], STRATA)
             self._trials[stratum] += 1
-            self._successes[stratum] += info["is_success"]
+            outcome = Outcome.of_info(info)
+            self._successes[stratum] += outcome is not None and outcome.success
         return self._goes_on
 
     def _on_rollout_end(self) -> None:

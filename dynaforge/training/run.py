@@ -83,8 +83,7 @@ def evaluate(task: Task, generator: Generator, evaluation: Evaluation, path: Pat
     results = (attempt_once(env, generator, condition) for _, condition in evaluation.conditions(task))
     sound = unless_all_raise(results, generator=generator.name)
     for (block, condition), result in zip(evaluation.conditions(task), sound, strict=True):
-        attempt = result.attempt
-        outcome = "success" if attempt.success else attempt.failure
+        outcome = str(result.attempt.outcome)
         rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})
         total = evaluation.blocks * evaluation.attempts
         report_progress(text=f"measuring on {evaluation.stream}, {len(rows)} of {total}")

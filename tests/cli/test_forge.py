@@ -22,7 +22,7 @@ from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import GaveUp, PlannerOnly
-from dynaforge.tasks import get_task
+from dynaforge.tasks import Outcome, get_task
 from dynaforge.training import forge as forge_training
 from dynaforge.training import model as training
 from dynaforge.training.forge_folder import ForgeFolder, asked_for
@@ -194,7 +194,8 @@ def test_collecting_that_gets_nowhere_says_why(
 ) -> None:
     task = get_task("can")
     condition = next(task.conditions.stream("train"))
-    lost = Attempt(condition, "residual", False, 1, "dropped", "lift", 1.0)
+    outcome = Outcome(success=False, checkpoint=1, failure="dropped", phase="lift")
+    lost = Attempt(condition=condition, generator="residual", outcome=outcome, duration=1.0)
 
     def give_up(*_: object, tell: Callable[[Attempt], None], **__: object) -> None:
         tell(lost)

@@ -6,6 +6,7 @@ import numpy as np
 
 from dynaforge.demos import Episode
 from dynaforge.sim import Condition
+from dynaforge.tasks import Outcome
 
 
 def make_episode(seed: int = 0, *, success: bool = True, task: str = "can", steps: int = 20) -> Episode:
@@ -22,4 +23,5 @@ def make_episode(seed: int = 0, *, success: bool = True, task: str = "can", step
     }
     failure = "" if success else "timeout in close"
     meta = {"phases": ["track", "close"], "versions": {"numpy": np.__version__}, "policy_hash": "p", "task_hash": "t"}
-    return Episode(condition, "planner", success, 4 if success else 2, failure, "lift", 0.66, recorded, meta)
+    outcome = Outcome(success=success, checkpoint=4 if success else 2, failure=failure, phase="lift")
+    return Episode(condition=condition, generator="planner", outcome=outcome, duration=0.66, steps=recorded, meta=meta)

@@ -131,10 +131,10 @@ def test_a_column_that_follows_from_others_is_named_without_a_replay(
 
 def failed(episode: Episode, **outcome: Any) -> Episode:
     """Tell another outcome, with the reward that goes with it."""
-    told = replace(episode, **outcome)
+    told = replace(episode.outcome, n_checkpoints=None, **outcome)
     rewards = episode.steps["reward"].copy()
     rewards[-1] = 1.0 if told.success else told.checkpoint / get_task(TASK).n_checkpoints
-    return replace(told, steps=dict(episode.steps) | {"reward": rewards})
+    return replace(episode, outcome=told, steps=dict(episode.steps) | {"reward": rewards})
 
 
 def other_condition(episode: Episode) -> Episode:
@@ -152,7 +152,12 @@ def without(episode: Episode) -> Episode:
 
 LABELS: dict[str, tuple[Callable[[Episode], Episode], str]] = {
     "success": (
-        lambda e: failed(e, success=not e.success, failure="" if e.failure else "dropped", checkpoint=5 - e.checkpoint),
+        lambda e: failed(
+            e,
+            success=not e.success,
+            failure="dropped" if e.success else "",
+            checkpoint=5 - e.outcome.checkpoint,
+        ),
         "its success is recorded as",
     ),
     "failure": (
@@ -160,7 +165,10 @@ LABELS: dict[str, tuple[Callable[[Episode], Episode], str]] = {
         "its failure is recorded as 'the cat'",
     ),
     "checkpoint": (lambda e: failed(e, checkpoint=1), "its checkpoint is recorded as 1"),
-    "phase": (lambda e: replace(e, phase="approach"), "its phase is recorded as 'approach'"),
+    "phase": (
+        lambda e: replace(e, outcome=replace(e.outcome, phase="approach")),
+        "its phase is recorded as 'approach'",
+    ),
     "duration": (lambda e: replace(e, duration=e.duration + 1.0), "its duration is recorded as"),
     "condition": (other_condition, "joint_reference is not what its attempt made again gives from step 0 on"),
     "length": (cut, "it goes on after its last recorded step"),

@@ -281,7 +281,9 @@ def test_json_is_of_finite_numbers_and_bounded_depth() -> None:
 def test_a_reason_that_a_terminal_would_obey_is_escaped(
     dataset: DemonstrationDataset, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    DemonstrationDataset(dataset.path, task="can").add(replace(make_episode(9, success=False), failure="a\x1b[2Jb"))
+    lost = make_episode(9, success=False)
+    lost = replace(lost, outcome=replace(lost.outcome, failure="a\x1b[2Jb"))
+    DemonstrationDataset(dataset.path, task="can").add(lost)
     assert main(["info", str(dataset.path)]) == 0
     out = capsys.readouterr().out
     assert r"a\x1b[2Jb" in out

@@ -21,7 +21,7 @@ from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
-from dynaforge.tasks import get_task
+from dynaforge.tasks import Outcome, get_task
 from dynaforge.tasks.digest import task_digest
 
 SETTINGS = ObservationSettings((replace(standard_cameras(get_task("can"))["front"], size=(4, 4)),))
@@ -206,7 +206,8 @@ def test_states_that_differ_from_their_digests_are_named(dataset: DemonstrationD
 
 def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationDataset) -> None:
     episode: Episode = make_episode(0)
-    write_episode(dataset.file_of(episode.id), replace(episode, success=False, failure="slipped"))
+    lost = replace(episode.outcome, success=False, failure="slipped")
+    write_episode(dataset.file_of(episode.id), replace(episode, outcome=lost))
     assert problems(dataset) == {
         f"{episode.id}.h5": [
             "the ledger notes success True, the file False",
@@ -238,7 +239,8 @@ def test_verify_ends_with_0_or_1(real: DemonstrationDataset, capsys: pytest.Capt
 def test_an_attempt_at_what_is_no_condition_of_the_task_is_named(real: DemonstrationDataset) -> None:
     held = real.attempts()[0]
     for change in ({"difficulty": 1e300}, {"values": {}}):
-        odd = replace(held, condition=replace(held.condition, **change), success=False, failure="x", recorded=False)
-        real.record(replace(odd, checkpoint=0))
+        lost = Outcome(success=False, checkpoint=0, failure="x")
+        odd = replace(held, condition=replace(held.condition, **change), outcome=lost, recorded=False)
+        real.record(odd)
         found = [f for findings in verify(real, task=get_task("can")) for f in findings]
         assert any(f.path == real.ledger.path and odd.id in f.problem for f in found), found

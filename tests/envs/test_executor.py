@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from trajectory_hash import TrajectoryHash, condition
 
-from dynaforge.envs.executor import Outcome, PhaseExecutor
+from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Array, JointTrajectory, Pose
 from dynaforge.planning import JointReference, PlanFailure
 from dynaforge.sim import BodyState, SceneState
-from dynaforge.tasks import Mode, Phase, Task, get_task
+from dynaforge.tasks import Mode, Outcome, Phase, Task, get_task
 from dynaforge.tasks.predicates import Fallen, Grasped, Lifted, Touched
 from dynaforge.tasks.targets import DOWN_ALONG_X, Above
 
@@ -81,6 +81,10 @@ TOUCH_GRASP_LIFT = program(
 )
 
 
+def failed(checkpoint: int, failure: str, phase: str) -> Outcome:
+    return Outcome(success=False, checkpoint=checkpoint, failure=failure, phase=phase)
+
+
 def test_phases_advance_in_order_one_a_control_step_at_most() -> None:
     executor = start(TOUCH_GRASP_LIFT)
     names = [executor.phase.name]
@@ -103,8 +107,8 @@ def test_success_is_the_last_checkpoint_and_is_worth_one() -> None:
     for _ in range(2 + 9):
         if executor.outcome is None:
             executor.advance(UP, REFERENCE)
-    assert executor.outcome == Outcome(True, 3, "", "lift")
-    assert executor.outcome.episodic_return(3) == 1.0
+    assert executor.outcome == Outcome(success=True, checkpoint=3, phase="lift")
+    assert executor.outcome.episodic_return() == 1.0
 
 
 def test_success_held_for_less_than_a_quarter_of_a_second_is_none() -> None:
@@ -123,7 +127,7 @@ def test_a_near_miss_of_the_can_never_becomes_a_success(near_miss: SceneState) -
     executor._enter(4, scene(touching=(True, True)), REFERENCE)
     while executor.outcome is None:
         executor.advance(near_miss, REFERENCE)
-    assert executor.outcome == Outcome(False, 4, "slipped", "lift")
+    assert executor.outcome == failed(4, "slipped", "lift")
 
 
 def test_a_hold_starts_anew_when_it_breaks() -> None:
@@ -144,35 +148,29 @@ def test_a_timeout_fails_with_the_reason_of_its_phase() -> None:
     assert executor.outcome is None
     assert executor.phase_time_left == pytest.approx(1 / 6)
     executor.advance(scene(), REFERENCE)
-    assert executor.outcome == Outcome(False, 1, "grasp took too long", "grasp")
+    assert executor.outcome == failed(1, "grasp took too long", "grasp")
 
 
 def test_what_makes_success_impossible_ends_the_episode_at_once() -> None:
     executor = start(TOUCH_GRASP_LIFT)
     executor.advance(GRASPED, REFERENCE)
     executor.advance(scene(z=-0.2, touching=(True, True)), REFERENCE)
-    assert executor.outcome == Outcome(False, 1, "dropped", "grasp")
+    assert executor.outcome == failed(1, "dropped", "grasp")
 
 
 def test_a_robot_that_stopped_itself_ends_the_episode_even_in_success() -> None:
     executor = start(program(phase("touch", Touched("can"))))
     executor.advance(replace(UP, stopped=True), REFERENCE)
-    assert executor.outcome == Outcome(False, 0, "robot stopped", "touch")
-
-
-@pytest.mark.parametrize(("checkpoint", "value"), [(0, 0.0), (1, 0.2), (4, 0.8)])
-def test_a_failure_is_worth_its_share_of_checkpoints(checkpoint: int, value: float) -> None:
-    """Eq. 6 with y = 0: c / C."""
-    assert Outcome(False, checkpoint, "slipped", "lift").episodic_return(5) == pytest.approx(value)
+    assert executor.outcome == failed(0, "robot stopped", "touch")
 
 
 def test_a_failed_plan_is_an_outcome_with_its_reason() -> None:
     executor = start(program(phase("touch", Touched("can"), Mode.GLOBAL)), FakePlanner(fails=True))
-    assert executor.outcome == Outcome(False, 0, "plan failed: unreachable", "touch")
+    assert executor.outcome == failed(0, "plan failed: unreachable", "touch")
     later = program(phase("touch", Touched("can")), phase("lift", Lifted("can", 0.1), Mode.GLOBAL))
     executor = start(later, FakePlanner(fails=True))
     executor.advance(GRASPED, REFERENCE)
-    assert executor.outcome == Outcome(False, 1, "plan failed: unreachable", "lift")
+    assert executor.outcome == failed(1, "plan failed: unreachable", "lift")
     assert executor.action.phase == 1
 
 
@@ -295,7 +293,7 @@ def test_a_reason_of_a_phase_counts_only_while_it_runs() -> None:
     executor.advance(scene(z=0.06), REFERENCE)
     assert executor.outcome is None
     executor.advance(scene(z=0.04), REFERENCE)
-    assert executor.outcome == Outcome(False, 1, "slipped", "carry")
+    assert executor.outcome == failed(1, "slipped", "carry")
 
 
 def test_the_object_in_the_hand_is_measured_where_a_phase_takes_hold() -> None:

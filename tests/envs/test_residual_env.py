@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from trajectory_hash import Traced, TrajectoryHash, action, condition, run
 
-from dynaforge.envs.executor import Outcome, PhaseExecutor
+from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import World
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
-from dynaforge.tasks import Phase, Task, get_task
+from dynaforge.tasks import Outcome, Phase, Task, get_task
 from dynaforge.tasks.targets import Raised
 
 TASK = get_task("can")
@@ -53,8 +53,7 @@ def test_zero_residual_is_the_planner_alone_bit_for_bit(which: Condition, skip: 
     for env in (skip, mask):
         digest, info = run(env, which, scale=0.0)
         assert digest == alone
-        told = Outcome(info["is_success"], info["checkpoint"], info["failure"], info["phase"])
-        assert told == outcome
+        assert Outcome.of_info(info) == outcome
 
 
 def test_a_residual_changes_the_episode(skip: Traced) -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from trajectory_hash import TrajectoryHash, condition
@@ -7,6 +9,7 @@ from trajectory_hash import TrajectoryHash, condition
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.geometry import rotvec_from_matrix
+from dynaforge.tasks import ConditionSpace
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
 EASY = min((condition(0, seed) for seed in range(40)), key=lambda c: c.difficulty)  # the planner alone lifts it
@@ -128,4 +131,30 @@ def test_corners_of_the_action_space_that_mean_no_rotation_leave_the_hand_its_ow
     np.testing.assert_allclose(env.world.state.ee.rotation, start.ee.rotation, atol=5e-3)
     for corner in (env.action_space.low, env.action_space.high):
         env.step(corner)
+    env.close()
+
+
+@pytest.mark.parametrize("kind", [ResidualEnv, TaskEnv])
+def test_a_condition_is_checked_once_a_reset(kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked = []
+    validate = ConditionSpace.validate
+    monkeypatch.setattr(ConditionSpace, "validate", lambda space, c: checked.append(c) or validate(space, c))
+    env = kind("can")
+    env.reset(options={"condition": EASY})
+    assert checked == [EASY]
+    env.reset(seed=0)
+    assert len(checked) == 2
+    env.close()
+
+
+@pytest.mark.parametrize("kind", [ResidualEnv, TaskEnv])
+def test_a_reset_that_is_refused_leaves_the_episode_as_it_is(kind) -> None:
+    env = kind("can")
+    env.reset(options={"condition": EASY})
+    before = env.world.state
+    with pytest.raises(ValueError, match="belongs to task 'peach'"):
+        env.reset(options={"condition": replace(EASY, task="peach")})
+    assert env.world.state is before
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    assert env.world.state.time > before.time
     env.close()

@@ -8,6 +8,7 @@ from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, paired_difference, task_table
 from dynaforge.evaluation.dgr import Count, Trial
 from dynaforge.sim import Condition
+from dynaforge.tasks import Outcome
 
 
 def trials() -> list[Trial]:
@@ -49,7 +50,8 @@ def test_report_survives_json():
 
 
 def test_attempts_of_a_ledger_can_be_counted():
-    attempt = Attempt(Condition("can", 1, 0.3, {}), "planner", False, 0, "no plan", "approach", 0.0)
+    outcome = Outcome(success=False, checkpoint=0, failure="no plan", phase="approach")
+    attempt = Attempt(condition=Condition("can", 1, 0.3, {}), generator="planner", outcome=outcome, duration=0.0)
     report = DgrReport.from_attempts([attempt], difficulty_range=(0.0, 1.0))
     assert report.failures == {"no plan": 1}
 

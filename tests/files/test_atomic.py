@@ -32,10 +32,12 @@ import itertools, sys
 import numpy as np
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.sim import Condition
+from dynaforge.tasks import Outcome
 data = DemonstrationDataset(sys.argv[1], task="can")
 for seed in itertools.count():
     condition = Condition("can", seed, 0.4, {})
-    data.add(Episode(condition, "planner", True, 4, "", "lift", 1.0, {"time": np.arange(5000.0)}))
+    data.add(Episode(condition=condition, generator="planner", outcome=Outcome(success=True, checkpoint=4),
+                     duration=1.0, steps={"time": np.arange(5000.0)}))
     print(condition.id, flush=True)
 """
 

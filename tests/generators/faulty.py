@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from dynaforge.demos import Episode
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sim import Condition
-from dynaforge.tasks import Task
+from dynaforge.tasks import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -41,4 +41,5 @@ class Faulty:
             os._exit(3)
         if condition.id in self.raises:
             raise RuntimeError("the marked condition")
-        return Episode(condition, self.name, True, 5, "", "lift", 1.0, {})
+        outcome = Outcome(success=True, checkpoint=5, phase="lift")
+        return Episode(condition=condition, generator=self.name, outcome=outcome, duration=1.0, steps={})

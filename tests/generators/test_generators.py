@@ -104,7 +104,7 @@ def test_the_projected_action_is_where_the_joint_reference_puts_the_hand(episode
 def test_only_the_last_step_is_rewarded_and_with_the_return(episode: Episode) -> None:
     reward = episode.steps["reward"]
     assert not reward[:-1].any()
-    assert reward[-1] == (1.0 if episode.success else episode.checkpoint / 5)
+    assert reward[-1] == (1.0 if episode.success else episode.outcome.checkpoint / 5)
 
 
 def test_the_planner_alone_asks_for_its_plan(env: ResidualEnv) -> None:
@@ -136,7 +136,7 @@ def test_the_oracle_is_at_least_as_good_as_the_planner(env: ResidualEnv) -> None
     oracle = Oracle(m=4)
     for each in CONDITIONS:
         planner, best = PlannerOnly().attempt(env, each), oracle.attempt(env, each)
-        assert best.checkpoint >= planner.checkpoint
+        assert best.outcome.checkpoint >= planner.outcome.checkpoint
         assert best.generator == "oracle"
 
 

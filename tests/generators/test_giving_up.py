@@ -14,9 +14,10 @@ from dynaforge.cli import evaluate
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
+from dynaforge.generators.attempts import lost
 from dynaforge.generators.giving_up import unless_all_raise
 from dynaforge.sim import Condition
-from dynaforge.tasks import get_task
+from dynaforge.tasks import Outcome, get_task
 
 CAN = get_task("can")
 
@@ -29,9 +30,10 @@ def engine(wins: Callable[[int], bool], *, ahead: int = 4, raising: bool = False
         nonlocal k
         won, k = wins(k), k + 1
         if raising:
-            return Result(Attempt(condition, "planner_only", False, 0, "exception: OSError: gone", "", 0.0), None)
+            return lost(condition, "planner_only", "exception: OSError: gone")
         reason = "" if won else ("dropped" if k % 3 else "slipped\naway")
-        episode = Episode(condition, "planner_only", won, 5 if won else 1, reason, "lift", 1.0, {})
+        outcome = Outcome(success=won, checkpoint=5 if won else 1, failure=reason, phase="lift")
+        episode = Episode(condition=condition, generator="planner_only", outcome=outcome, duration=1.0, steps={})
         return Result(Attempt.of(episode), episode)
 
     def run(task: object, generator: object, conditions: Iterable[Condition], **_: object) -> Iterator[Result]:

@@ -30,14 +30,16 @@ from dynaforge.reports import (  # noqa: E402
     write_report,
 )
 from dynaforge.sim import Condition  # noqa: E402
+from dynaforge.tasks import Outcome  # noqa: E402
+
+WON = Outcome(success=True, checkpoint=4, phase="close")
+LOST = Outcome(success=False, checkpoint=1, failure="<timeout>", phase="close")
 
 
 def attempts(rate: float, n: int = 60) -> list[Attempt]:
     ok = np.random.default_rng(0).random(n) < rate
     return [
-        Attempt(
-            Condition("can", i, i / n, {}), "planner", bool(s), 4 if s else 1, "" if s else "<timeout>", "close", 2.0
-        )
+        Attempt(condition=Condition("can", i, i / n, {}), generator="planner", outcome=WON if s else LOST, duration=2.0)
         for i, s in enumerate(ok)
     ]
 
@@ -144,7 +146,7 @@ def data(mp4: bytes) -> ReportData:
         reports=[report(0.4, "planner only"), report(0.8, "with residual")],
         paired=paired_difference([a.success for a in before], [a.success for a in after]),
         figures=[ReportFigure("Learning curve", "Trailing mean.", figures()["curve"]("svg"))],
-        clips=[Clip(mp4, "c0ffee", True, caption="0.3 m/s"), Clip(mp4, "decade", False, "<timeout>", "1.2 m/s")],
+        clips=[Clip(mp4, "c0ffee", WON, "0.3 m/s"), Clip(mp4, "decade", LOST, "1.2 m/s")],
         attempts=before * 10,
     )
 

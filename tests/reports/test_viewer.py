@@ -27,7 +27,7 @@ from dynaforge.reports.viewer import write_viewer
 from dynaforge.reports.viewer_clips import ViewerEpisode
 from dynaforge.reports.viewer_summary import summarise
 from dynaforge.sim import Condition
-from dynaforge.tasks import get_task
+from dynaforge.tasks import Outcome, get_task
 
 BROWSER = chromium.PROGRAM
 CAN = get_task("can")
@@ -79,8 +79,7 @@ def test_every_attempt_is_listed_and_the_chosen_are_shown(data: Path) -> None:
 
 
 def test_a_reason_cannot_end_the_script(tmp_path: Path) -> None:
-    condition = Condition("can", 1, 0.5, {"speed": 0.5})
-    evil = Attempt(condition, "x", success=False, checkpoint=0, failure="</script><b>", phase="", duration=0.0)
+    evil = attempt(1, "</script><b>", phase="")
     write_viewer(tmp_path / "v.html", get_task("can"), [evil], [], title="<i>")
     text = (tmp_path / "v.html").read_text()
     assert "</script><b>" not in text
@@ -131,8 +130,8 @@ def test_a_recording_for_rerun(data: Path, tmp_path: Path) -> None:
 
 def attempt(seed: int, failure: str = "lost track", *, phase: str = "track", **values: Any) -> Attempt:
     condition = Condition("can", seed, 0.5, {"speed": 0.5, **values.pop("more", {})})
-    facts = {"success": not failure, "checkpoint": 1, "failure": failure, "phase": phase, "duration": 1.0, **values}
-    return Attempt(condition, "x", **facts)
+    outcome = Outcome(success=not failure, checkpoint=1, failure=failure, phase=phase)
+    return Attempt(**{"condition": condition, "generator": "x", "outcome": outcome, "duration": 1.0, **values})
 
 
 def test_every_value_has_its_unit(data: Path) -> None:
