@@ -8,7 +8,7 @@ from itertools import chain
 from tqdm import tqdm
 
 from dynaforge.cli.arguments.datasets import open_dataset
-from dynaforge.demos.verification import read_notes, verify_folder
+from dynaforge.demos.folder_checks import read_notes, verify_folder
 from dynaforge.generators.recording_checks import VerifyOptions, check_recordings
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.demos.verification import read_notes
+from dynaforge.demos.folder_checks import read_notes
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
 from dynaforge.generators.recording_checks import VerifyOptions, check_recordings

@@ -16,6 +16,7 @@ from dynaforge.demos.consistency import contradictions
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.differences import differences
 from dynaforge.demos.episode_file import write_episode
+from dynaforge.demos.folder_checks import read_notes
 from dynaforge.demos.observations import (
     ObservationFolder,
     ObservationRenderer,
@@ -24,7 +25,7 @@ from dynaforge.demos.observations import (
 )
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import SCHEMA, state_digests
-from dynaforge.demos.verification import EpisodeVerifier, read_notes, verify
+from dynaforge.demos.verification import EpisodeVerifier, verify
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import Exploring, ResidualGenerator
 from dynaforge.generators.generator import ConstantResidual

@@ -1,0 +1,134 @@
+"""What can be wrong with one recording, check by check; each yields its problems as sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from dynaforge.demos.consistency import contradictions, is_planned
+from dynaforge.demos.dataset import SOURCES, Provenance
+from dynaforge.demos.differences import differences
+from dynaforge.demos.episode import Episode
+from dynaforge.demos.folder_checks import wrong_condition
+from dynaforge.demos.ledger import Attempt
+from dynaforge.demos.replay import Replayer
+from dynaforge.demos.schema import state_digests
+from dynaforge.planning import ArmKinematics
+from dynaforge.sim import franka
+from dynaforge.tasks import Task
+from dynaforge.tasks.digest import task_digest
+
+Check = Callable[[Episode], Iterable[str]]
+
+
+def digests(episode: Episode) -> Iterator[str]:
+    """Compare the states with the digests that were noted of them."""
+    noted, found = episode.meta.get("state_digests"), state_digests(episode.steps)
+    if noted is not None and list(noted) != found:
+        second = next((k for k, (a, b) in enumerate(zip(noted, found, strict=False)) if a != b), len(found))
+        yield f"its states differ from their digest at second {second}"
+
+
+def rewards(episode: Episode) -> Iterator[str]:
+    """Check that only the last step is rewarded, and with 1 exactly on success."""
+    reward = episode.steps.get("reward")
+    if reward is not None and len(reward):
+        if reward[:-1].any():
+            yield "it has a reward before its last step"
+        if (reward[-1] == 1.0) != episode.success:
+            yield f"its last reward is {reward[-1]:g}, its success {episode.success}"
+
+
+def numbers(episode: Episode) -> Iterator[str]:
+    """Look for NaN and infinity."""
+    for name, array in episode.steps.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            step = int(np.argwhere(~np.isfinite(array))[0][0])
+            yield f"{name} is not finite at step {step}"
+
+
+def of_source(sources: Mapping[str, Provenance] | None) -> Check:
+    """Compare with what the folder notes of the recording's generator; of a folder without, that is said elsewhere."""
+
+    def check(episode: Episode) -> Iterator[str]:
+        if not sources:
+            return
+        source = sources.get(episode.generator)
+        if source is None:
+            yield f"{SOURCES} does not know its generator {episode.generator!r}"
+            return
+        for name, noted in (("policy_hash", source.policy), ("task_hash", source.task_definition)):
+            if episode.meta.get(name, "") != noted:
+                yield f"its {name} is {episode.meta.get(name, '')!r}, {SOURCES} notes {noted!r}"
+
+    return check
+
+
+def of_ledger(attempts: Mapping[str, Attempt]) -> Check:
+    """Compare with the line of the ledger, by id."""
+
+    def check(episode: Episode) -> Iterator[str]:
+        if (noted := attempts.get(episode.id)) is None:
+            return
+        found = Attempt.of(episode).to_dict()
+        for name, value in noted.to_dict().items():
+            if name not in ("wall_seconds", "block", "recorded") and value != found[name]:
+                yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
+
+    return check
+
+
+def of_task(task: Task) -> Check:
+    """Compare with the task's definition, and the columns with each other as the task relates them."""
+    kinematics, definition = ArmKinematics(franka()), task_digest(task)
+
+    def check(episode: Episode) -> Iterator[str]:
+        if episode.meta.get("task_hash", definition) != definition:
+            yield f"it was recorded with another definition of task {task.name!r}"
+        if problem := wrong_condition(task, episode.condition):
+            yield problem
+        yield from contradictions(episode, task, kinematics)
+
+    return check
+
+
+def of_physics(again: Callable[[Episode], Episode] | None, replayer: Replayer | None) -> Check:
+    """Make the attempt again and compare all it records; where that cannot be, only its joint references.
+
+    Args:
+        again: Makes an attempt again from its recording.
+        replayer: Simulates what `again` does not repeat.
+    """
+
+    def check(episode: Episode) -> Iterator[str]:
+        if again is not None and is_planned(episode):
+            try:
+                found = differences(episode, again(episode))
+            except ValueError as error:
+                found = [str(error)]
+            yield from (f"{problem}{_versions(episode)}" for problem in found)
+            if not found:
+                return  # an attempt that repeats to the bit has repeated its physics
+        if replayer is None:
+            return
+        replay = replayer.replay(episode)
+        if replay.divergence is not None:
+            yield f"its replay leaves the recording: {replay.divergence}{_versions(episode)}"
+        elif replay.success != episode.success:
+            yield f"its success is recorded as {episode.success}, its replay ends in {replay.success}"
+
+    return check
+
+
+def _versions(episode: Episode) -> str:
+    changed = []
+    for package, recorded in dict(episode.meta.get("versions", {})).items():
+        try:
+            here = version(package)
+        except (PackageNotFoundError, ValueError):
+            here = "missing"
+        if here != recorded:
+            changed.append(f"{package} {recorded}, here {here}")
+    return f" (recorded with {'; '.join(changed)})" if changed else ""
