@@ -9,17 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_kind, check_number, shown
-from dynaforge.tasks import Outcome
-
-if TYPE_CHECKING:
-    from dynaforge.demos.ledger import Attempt
+from dynaforge.tasks.outcome import STORED, Outcome
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -40,44 +37,107 @@ def check_generator_name(name: Any) -> None:
         raise ValueError(f"Generator name {shown(name)} must consist of letters, digits, '.', '_' and '-'.")
 
 
-def check_attempt(kind: str, attempt: Episode | Attempt) -> None:
-    """Check what an episode and a line of the ledger share.
-
-    Args:
-        kind: "Episode" or "Attempt", for messages.
-        attempt: The one or the other.
-
-    Raises:
-        ValueError: A field is of the wrong type or out of range.
-    """
-    check_kind(f"{kind}: condition", attempt.condition, Condition)
-    check_generator_name(attempt.generator)
-    check_kind(f"{kind}: outcome", attempt.outcome, Outcome)
-    check_number(f"{kind}: duration", attempt.duration, least=0.0)
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Episode:
-    """One attempt: condition, outcome, and what was recorded at each control step.
+class AttemptFacts:
+    """What is known of every attempt, whether or not it was recorded: what `Episode` and `Attempt` share.
 
     Attributes:
         condition: What fixed the episode.
         generator: Name of what made it, e.g. "planner" or "residual".
         outcome: How it ended.
         duration: Simulated seconds.
-        steps: Arrays with leading dimension T at control rate; names, shapes, units in `SCHEMA`. Read-only.
-        meta: Plain JSON data: `phases` (names by index), `versions`, `policy_hash`, `task_hash`, digests, ...
+
+    Raises:
+        ValueError: A field is of the wrong type or out of range.
     """
 
     condition: Condition
     generator: str
     outcome: Outcome
     duration: float
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        check_kind(f"{kind}: condition", self.condition, Condition)
+        check_generator_name(self.generator)
+        check_kind(f"{kind}: outcome", self.outcome, Outcome)
+        check_number(f"{kind}: duration", self.duration, least=0.0)
+
+    @property
+    def id(self) -> str:
+        """Condition id and generator: also the name of the recording's file."""
+        return episode_id(self.condition, self.generator)
+
+    @property
+    def difficulty(self) -> float:
+        """Nominal difficulty of the condition, in the task's unit."""
+        return self.condition.difficulty
+
+    @property
+    def success(self) -> bool:
+        """`Outcome.success`."""
+        return self.outcome.success
+
+    @property
+    def checkpoint(self) -> int:
+        """`Outcome.checkpoint`."""
+        return self.outcome.checkpoint
+
+    @property
+    def failure(self) -> str:
+        """`Outcome.failure`."""
+        return self.outcome.failure
+
+    @property
+    def phase(self) -> str:
+        """`Outcome.phase`."""
+        return self.outcome.phase
+
+    def facts(self) -> dict[str, Any]:
+        """Return these facts as plain JSON data."""
+        return {
+            "condition": self.condition.to_dict(),
+            "generator": self.generator,
+            **self.outcome.to_dict(),
+            "duration": float(self.duration),
+        }
+
+
+def split_facts(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read what `AttemptFacts.facts` returned.
+
+    Returns:
+        The fields of `AttemptFacts`, and the entries beside them as they are.
+
+    Raises:
+        ValueError: An entry is missing or malformed.
+    """
+    if missing := [name for name in ("condition", "generator", "duration") if name not in data]:
+        raise ValueError(f"An attempt needs {', '.join(missing)}, which this one lacks.")
+    fields = {
+        "condition": Condition.from_dict(data["condition"]),
+        "generator": data["generator"],
+        "outcome": Outcome.from_dict(data),
+        "duration": data["duration"],
+    }
+    return fields, {name: value for name, value in data.items() if name not in (*fields, *STORED)}
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Episode(AttemptFacts):
+    """One attempt: condition, outcome, and what was recorded at each control step.
+
+    Attributes:
+        condition, generator, outcome, duration: As in `AttemptFacts`.
+        steps: Arrays with leading dimension T at control rate; names, shapes, units in `SCHEMA`. Read-only.
+        meta: Plain JSON data: `phases` (names by index), `versions`, `policy_hash`, `task_hash`, digests, ...
+    """
+
     steps: Mapping[str, NDArray[Any]]
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_attempt("Episode", self)
+        AttemptFacts.__post_init__(self)
         check_kind("Episode: steps", self.steps, Mapping)
         check_kind("Episode: meta", self.meta, Mapping)
         try:
@@ -98,25 +158,9 @@ class Episode:
         outcome = "success" if self.success else f"failure {self.failure!r}"
         return f"Episode({self.condition.task}, {self.generator}, {outcome}, {len(self)} steps)"
 
-    @property
-    def id(self) -> str:
-        """Condition id and generator: also the file's name."""
-        return episode_id(self.condition, self.generator)
-
-    @property
-    def success(self) -> bool:
-        """Whether the task's success predicate was held."""
-        return self.outcome.success
-
     def header(self) -> dict[str, Any]:
         """Return everything but the arrays as plain JSON data."""
-        return {
-            "condition": self.condition.to_dict(),
-            "generator": self.generator,
-            **self.outcome.to_dict(),
-            "duration": float(self.duration),
-            "meta": dict(self.meta),
-        }
+        return {**self.facts(), "meta": dict(self.meta)}
 
     @staticmethod
     def from_header(header: Mapping[str, Any], steps: Mapping[str, NDArray[Any]]) -> Episode:
@@ -125,17 +169,9 @@ class Episode:
         Raises:
             ValueError: A field is missing, unknown or of another type, or the arrays do not fit the schema.
         """
-        if missing := [name for name in ("condition", "generator", "duration", "meta") if name not in header]:
-            raise ValueError(f"Episode header lacks {missing}.")
-        check_meta(header["meta"])
-        episode = Episode(
-            condition=Condition.from_dict(header["condition"]),
-            generator=header["generator"],
-            outcome=Outcome.from_dict(header),
-            duration=header["duration"],
-            steps=steps,
-            meta=header["meta"],
-        )
+        facts, rest = split_facts(header)
+        check_meta(rest.get("meta"))
+        episode = Episode(**facts, steps=steps, meta=rest["meta"])
         if episode.header() != dict(header):
             raise ValueError("Episode header is not one that an episode writes: unknown or rounded values.")
         return episode

@@ -12,61 +12,35 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynaforge.demos.episode import Episode, check_attempt, episode_id
+from dynaforge.demos.episode import AttemptFacts, Episode, split_facts
 from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
 from dynaforge.files.atomic import naming
-from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
-from dynaforge.tasks.outcome import STORED, Outcome
 
 LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
 LINE = 2**20  # bytes of a line at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt:
+class Attempt(AttemptFacts):
     """A line of the ledger: one attempt, without its recording.
 
     Attributes:
-        condition, generator, outcome, duration: As in `Episode`.
+        condition, generator, outcome, duration: As in `AttemptFacts`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
         block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
         recorded: Whether its recording was kept.
     """
 
-    condition: Condition
-    generator: str
-    outcome: Outcome
-    duration: float
     wall_seconds: float = 0.0
     block: int = 0
     recorded: bool = False
 
     def __post_init__(self) -> None:
-        check_attempt("Attempt", self)
+        AttemptFacts.__post_init__(self)
         check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
         check_whole("Attempt: block", self.block, least=0)
         check_flag("Attempt: recorded", self.recorded)
-
-    @property
-    def id(self) -> str:
-        """Condition id and generator, as `Episode.id`."""
-        return episode_id(self.condition, self.generator)
-
-    @property
-    def difficulty(self) -> float:
-        """Nominal difficulty of the condition, in the task's unit."""
-        return self.condition.difficulty
-
-    @property
-    def success(self) -> bool:
-        """Whether it succeeded."""
-        return self.outcome.success
-
-    @property
-    def failure(self) -> str:
-        """Why it failed; "" on success."""
-        return self.outcome.failure
 
     @staticmethod
     def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
@@ -84,10 +58,7 @@ class Attempt:
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON data."""
         return {
-            "condition": self.condition.to_dict(),
-            "generator": self.generator,
-            **self.outcome.to_dict(),
-            "duration": float(self.duration),
+            **self.facts(),
             "wall_seconds": float(self.wall_seconds),
             "block": int(self.block),
             "recorded": bool(self.recorded),
@@ -100,10 +71,11 @@ class Attempt:
         Raises:
             ValueError: Fields are missing or unknown.
         """
+        check_kind("Attempt", data, Mapping)
+        facts, rest = split_facts(data)
         try:
-            rest = {name: value for name, value in data.items() if name not in (*STORED, "condition")}
-            return Attempt(condition=Condition.from_dict(data["condition"]), outcome=Outcome.from_dict(data), **rest)
-        except (AttributeError, KeyError, TypeError) as error:
+            return Attempt(**facts, **rest)
+        except TypeError as error:
             raise ValueError(f"Not an attempt: {error}.") from error
 
 
