@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos import recording_checks as checks
+from dynaforge.demos import episode_checks as checks
 from dynaforge.demos.audit import audit
 from dynaforge.demos.dataset import DemonstrationDataset
 from dynaforge.demos.differences import first_row

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.folder_checks import Finding, Notes
 from dynaforge.demos.observations import ObservationRenderer
 from dynaforge.demos.replay import Replayer
-from dynaforge.demos.verification import EpisodeVerifier, Finding, Notes
+from dynaforge.demos.verification import EpisodeVerifier
 from dynaforge.generators.repeat import Repeater
 from dynaforge.sampling.processes import guard_hint, kill_pool, worker_pool
 from dynaforge.tasks import Task
