@@ -33,7 +33,14 @@ def run(options: argparse.Namespace) -> int:
     with Tally(goal) as tally:
         try:
             collect(
-                dataset, task, generator, goal, source=source, workers=options.workers, engine=engine, tell=tally.add
+                dataset,
+                task,
+                generator,
+                goal,
+                source=source,
+                workers=options.workers,
+                engine=engine,
+                on_attempt=tally.add,
             )
         except KeyboardInterrupt:
             print(f"\nstopped with {tally}; the same command goes on")
@@ -42,9 +49,9 @@ def run(options: argparse.Namespace) -> int:
             problem = f"{error}. Another --policy may win; --give-up-after N goes on for N of them, 0 without end"
     minutes = (time.monotonic() - started) / 60
     print(f"{tally}, DGR {tally.rate:.1%}; {out}, {minutes:.1f} minutes")
-    if not problem and goal.demos is not None and tally.wins < goal.demos:
+    if not problem and goal.demos is not None and tally.successes < goal.demos:
         problem = (
-            f"Only {tally.wins} of {goal.demos} demonstrations in {goal.attempts} attempts; "
+            f"Only {tally.successes} of {goal.demos} demonstrations in {goal.attempts} attempts; "
             f"{describe_counts(tally.reasons)}. With more --attempts the same command goes on"
         )
     if problem:

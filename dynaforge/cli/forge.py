@@ -117,8 +117,8 @@ def _collect(task: Task, generator: Generator, folder: Path, options: argparse.N
     dataset = DemonstrationDataset(folder, task=task.name)
     goal = Goal(options.demos, 20 * options.demos)
     with Tally(goal, leave=False) as tally, contextlib.suppress(GaveUp):
-        collect(dataset, task, generator, goal, workers=options.workers, tell=tally.add)
-    if tally.wins < options.demos:
+        collect(dataset, task, generator, goal, workers=options.workers, on_attempt=tally.add)
+    if tally.successes < options.demos:
         print(f"      only {tally}: {describe_counts(tally.reasons)}. Train longer (--budget)")
     return dataset
 

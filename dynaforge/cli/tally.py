@@ -16,7 +16,7 @@ class Tally:
     """Counts attempts and shows a bar: how many won, and what the others failed with most."""
 
     def __init__(self, goal: Goal, *, leave: bool = True) -> None:
-        self.wins = self.attempts = 0
+        self.successes = self.attempts = 0
         self.reasons: Counter[str] = Counter()
         self._by_wins = goal.demos is not None
         # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
@@ -32,16 +32,16 @@ class Tally:
         self._bar.close()
 
     def __str__(self) -> str:
-        return f"{self.wins} successes in {self.attempts} attempts"
+        return f"{self.successes} successes in {self.attempts} attempts"
 
     @property
     def rate(self) -> float:
         """Successes over attempts."""
-        return self.wins / max(self.attempts, 1)
+        return self.successes / max(self.attempts, 1)
 
     def add(self, attempt: Attempt) -> None:
         """Count one."""
-        self.wins, self.attempts = self.wins + attempt.success, self.attempts + 1
+        self.successes, self.attempts = self.successes + attempt.success, self.attempts + 1
         if not attempt.success:
             self.reasons[attempt.failure] += 1
         failed = f"; failed: {describe_counts(self.reasons, n=2, longest=40)}" if self.reasons else ""

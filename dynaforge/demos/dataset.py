@@ -129,7 +129,7 @@ class DemonstrationDataset:
                 found[name] = Attempt.of(self[name], recorded=True)
         return list(found.values())
 
-    def lost(self) -> list[Attempt]:
+    def missing_recordings(self) -> list[Attempt]:
         """Return the attempts of the ledger whose recording was kept and is gone."""
         names = set(self.ids())
         return [a for a in self.ledger.attempts() if (a.success or a.recorded) and a.id not in names]

@@ -16,7 +16,7 @@ from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
 from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
-from dynaforge.generators.giving_up import ENOUGH, GaveUp
+from dynaforge.generators.giving_up import MIN_ATTEMPTS, GaveUp
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_kind, check_whole
 from dynaforge.tasks import Task, task_file_name
@@ -55,11 +55,11 @@ class Goal:
         enough = self.demos is not None and sum(attempt.success for attempt in done) >= self.demos
         return enough or (self.attempts is not None and len(done) + under_way >= self.attempts)
 
-    def hopeless(self, failures: int) -> bool:
+    def should_give_up(self, failures: int) -> bool:
         """Tell whether so many failures in a row are too many."""
         most = self.give_up_after
         if most is None:
-            most = 0 if self.demos is None else max(ENOUGH, 20 * self.demos)
+            most = 0 if self.demos is None else max(MIN_ATTEMPTS, 20 * self.demos)
         return 0 < most <= failures
 
 
@@ -93,7 +93,7 @@ def collect(
     source: Source | None = None,
     workers: int | None = None,
     engine: Engine = run_attempts,
-    tell: Callable[[Attempt], None] = lambda attempt: None,
+    on_attempt: Callable[[Attempt], None] = lambda attempt: None,
 ) -> list[Attempt]:
     """Attempt conditions until the goal is reached, each attempt recorded as it ends.
 
@@ -105,7 +105,7 @@ def collect(
         source: Conditions, by default block 0.
         workers: Processes; all cores by default.
         engine: What runs attempts: `run_attempts`, or `run_attempts_on_ray`.
-        tell: Called with every attempt, those found in the folder first.
+        on_attempt: Called with every attempt, those found in the folder first.
 
     Returns:
         All attempts of this generator at these conditions that the folder now holds.
@@ -118,7 +118,7 @@ def collect(
     source = Source() if source is None else source
     _check_arguments(dataset, task, goal, source, workers)
     dataset.note_source(generator.name, _provenance(generator, task))
-    progress = _Progress(dataset, generator.name, goal, source.conditions(task), tell)
+    progress = _Progress(dataset, generator.name, goal, source.conditions(task), on_attempt)
     while not progress.reached:
         progress.check_hope()
         for result in engine(task, generator, progress.missing(), block=source.block, workers=workers):
@@ -147,7 +147,7 @@ class _Progress:
         generator: Name of what attempts.
         goal: When to end.
         conditions: The stream.
-        tell: Called with every attempt, in the order of the stream.
+        on_attempt: Called with every attempt, in the order of the stream.
 
     Attributes:
         done: All attempts, those found in the dataset included.
@@ -159,11 +159,11 @@ class _Progress:
         generator: str,
         goal: Goal,
         conditions: Iterator[Condition],
-        tell: Callable[[Attempt], None],
+        on_attempt: Callable[[Attempt], None],
     ) -> None:
-        self._dataset, self._goal, self._conditions, self._tell = dataset, goal, conditions, tell
-        lost = {attempt.id for attempt in dataset.lost() if attempt.success or dataset.keep_failures}
-        found = (a for a in dataset.attempts() if a.generator == generator and a.id not in lost)
+        self._dataset, self._goal, self._conditions, self._on_attempt = dataset, goal, conditions, on_attempt
+        missing = {attempt.id for attempt in dataset.missing_recordings() if attempt.success or dataset.keep_failures}
+        found = (a for a in dataset.attempts() if a.generator == generator and a.id not in missing)
         self._found = {attempt.condition.id: attempt for attempt in found}
         self._generator = generator
         self._under_way = self._failures = 0  # the latter in a row
@@ -176,7 +176,7 @@ class _Progress:
 
     def check_hope(self) -> None:
         """Raise GaveUp if too many attempts in a row failed."""
-        if self._goal.hopeless(self._failures):
+        if self._goal.should_give_up(self._failures):
             raise GaveUp(f"No success in {self._failures} attempts in a row by {self._generator!r}", self.done)
 
     def missing(self) -> Iterator[Condition]:
@@ -184,7 +184,7 @@ class _Progress:
         for condition in self._conditions:
             if condition.id in self._found:
                 self._note(self._found[condition.id])
-            elif self.reached or self._goal.hopeless(self._failures):
+            elif self.reached or self._goal.should_give_up(self._failures):
                 # Those under way decide whether it is wanted after all.
                 self._conditions = chain((condition,), self._conditions)
                 return
@@ -201,4 +201,4 @@ class _Progress:
     def _note(self, attempt: Attempt) -> None:
         self._failures = 0 if attempt.success else self._failures + 1
         self.done.append(attempt)
-        self._tell(attempt)
+        self._on_attempt(attempt)

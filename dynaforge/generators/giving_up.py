@@ -9,7 +9,7 @@ from typing import Any
 from dynaforge.demos import Attempt
 from dynaforge.generators.attempts import Result
 
-ENOUGH = 50  # attempts that tell as much as any number would, where not one of them goes well
+MIN_ATTEMPTS = 50  # attempts that tell as much as any number would, where not one of them goes well
 
 
 class GaveUp(RuntimeError):  # noqa: N818  the name says what happened
@@ -44,7 +44,7 @@ def describe_counts(reasons: Counter[str], *, n: int = 3, longest: int = 160) ->
     return ", ".join(texts) or "no attempt failed"
 
 
-def unless_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[Result]:
+def refuse_if_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[Result]:
     """Pass results on; a generator that only raises has no success rate, not even 0 %.
 
     Args:
@@ -52,7 +52,7 @@ def unless_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[R
         generator: What attempts.
 
     Raises:
-        GaveUp: None of the first attempts, `ENOUGH` or all there are, left an episode.
+        GaveUp: None of the first attempts, `MIN_ATTEMPTS` or all there are, left an episode.
     """
     nothing: list[Attempt] = []
     left_any = False
@@ -60,7 +60,7 @@ def unless_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[R
         left_any = left_any or result.episode is not None
         if not left_any:
             nothing.append(result.attempt)
-            if len(nothing) == ENOUGH:
+            if len(nothing) == MIN_ATTEMPTS:
                 if isinstance(results, Generator):
                     results.close()
                 break

@@ -9,7 +9,7 @@ from tqdm import tqdm
 from dynaforge.demos import Attempt
 from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
-from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 
@@ -34,5 +34,5 @@ def measure(
         for block, conditions in enumerate(blocks):
             yield from run_attempts(task, generator, conditions, block=block, workers=workers)
 
-    sound = unless_all_raise(iter(results()), generator=generator.name)
+    sound = refuse_if_all_raise(iter(results()), generator=generator.name)
     return [r.attempt for r in tqdm(sound, total=total, leave=False, unit="attempt", desc=generator.name)]

@@ -87,7 +87,7 @@ class Above:
 
     def __call__(self, view: PhaseView) -> Pose:
         frame = view.frames[self.object]
-        position = led(view, self.object) + (0.0, 0.0, self.height)
+        position = predicted_position(view, self.object) + (0.0, 0.0, self.height)
         return Pose(hand_rotation(view, frame, self.object, self.grip), position)
 
 
@@ -173,7 +173,7 @@ class Catching:
 
     def __call__(self, view: PhaseView) -> Pose:
         base = view.state.objects[self.fixture].pose
-        sideways = float((base.inverse().apply(led(view, self.object)))[1])
+        sideways = float((base.inverse().apply(predicted_position(view, self.object)))[1])
         c, s = math.cos(self.pitch), math.sin(self.pitch)
         z, y = np.array((-c, 0.0, s)), np.array((0.0, -1.0, 0.0))
         local = Pose(np.column_stack((np.cross(y, z), y, z)), np.array((self.ahead, sideways, self.height)))
@@ -202,9 +202,9 @@ class Over:
         T_ee_held = view.T_ee_held(self.held)
         rotation = straight_down(view.entry.ee.rotation)
         if self.upright:
-            rotation = righting(rotation @ T_ee_held.rotation[:, 2]) @ rotation
+            rotation = upright_rotation(rotation @ T_ee_held.rotation[:, 2]) @ rotation
         tool_in_ee = T_ee_held.apply(np.array(self.tool))
-        return Pose(rotation, led(view, self.object) + (0.0, 0.0, self.height) - rotation @ tool_in_ee)
+        return Pose(rotation, predicted_position(view, self.object) + (0.0, 0.0, self.height) - rotation @ tool_in_ee)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,7 +223,7 @@ class Raised:
         return Pose(view.entry.ee.rotation, view.entry.ee.position + (0.0, 0.0, self.height))
 
 
-def led(view: PhaseView, name: str) -> Array:
+def predicted_position(view: PhaseView, name: str) -> Array:
     """Where an object is, metres, world frame; with a lead time, where constant velocity takes it."""
     body = view.state.objects[name]
     return body.pose.position + view.lead_time * body.velocity if view.lead_time else body.pose.position
@@ -235,7 +235,7 @@ def straight_down(rotation: Array) -> Array:
     return rotation_z(math.atan2(y, x) - math.pi / 2) @ (DOWN_ALONG_Y * (-1.0, -1.0, 1.0))
 
 
-def righting(axis: Array) -> Array:
+def upright_rotation(axis: Array) -> Array:
     """Least rotation, shape (3, 3), that makes a unit axis vertical: upward or downward, whichever is nearer."""
     up = np.array((0.0, 0.0, math.copysign(1.0, axis[2])))
     sine = np.cross(axis, up)

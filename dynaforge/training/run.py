@@ -19,7 +19,7 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
-from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sampling.processes import end_after
 from dynaforge.tasks import Task, get_task
 from dynaforge.training.history import STRATA, Probe
@@ -81,7 +81,7 @@ def evaluate(task: Task, generator: Generator, evaluation: Evaluation, path: Pat
     env = ResidualEnv(task)
     rows = []
     results = (attempt_once(env, generator, condition) for _, condition in evaluation.conditions(task))
-    sound = unless_all_raise(results, generator=generator.name)
+    sound = refuse_if_all_raise(results, generator=generator.name)
     for (block, condition), result in zip(evaluation.conditions(task), sound, strict=True):
         outcome = str(result.attempt.outcome)
         rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})

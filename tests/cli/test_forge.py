@@ -197,8 +197,8 @@ def test_collecting_that_gets_nowhere_says_why(
     outcome = Outcome(success=False, checkpoint=1, failure="dropped", phase="lift")
     lost = Attempt(condition=condition, generator="residual", outcome=outcome, duration=1.0)
 
-    def give_up(*_: object, tell: Callable[[Attempt], None], **__: object) -> None:
-        tell(lost)
+    def give_up(*_: object, on_attempt: Callable[[Attempt], None], **__: object) -> None:
+        on_attempt(lost)
         raise GaveUp("No success", [lost])
 
     monkeypatch.setattr(forge, "collect", give_up)

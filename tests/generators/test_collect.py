@@ -41,12 +41,17 @@ def test_an_interrupted_collection_goes_on_and_attempts_nothing_twice(tmp_path: 
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect(dataset, CAN, PlannerOnly(), Goal(None, 6), workers=2, tell=stop_at_three)
+        collect(dataset, CAN, PlannerOnly(), Goal(None, 6), workers=2, on_attempt=stop_at_three)
     assert told == stream(3)
     again: list[str] = []
     dataset = DemonstrationDataset(tmp_path, task="can")
     done = collect(
-        dataset, CAN, PlannerOnly(), Goal(None, 6), workers=2, tell=lambda attempt: again.append(attempt.condition.id)
+        dataset,
+        CAN,
+        PlannerOnly(),
+        Goal(None, 6),
+        workers=2,
+        on_attempt=lambda attempt: again.append(attempt.condition.id),
     )
     assert ids(done) == again == stream(6)
     assert done == dataset.ledger.attempts(), "with what was kept of each"
@@ -94,10 +99,10 @@ def test_a_recording_that_was_deleted_is_made_again_to_the_bit(won: Path, tmp_pa
     path, place = dataset.file_of(attempt.id), stream(24).index(attempt.condition.id)
     whole = path.read_bytes()
     path.unlink()
-    assert [lost.id for lost in dataset.lost()] == [attempt.id]
+    assert [lost.id for lost in dataset.missing_recordings()] == [attempt.id]
     collect(dataset, CAN, PlannerOnly(), Goal(None, 1), source=Source(shard=(place, 24)), workers=1)
     assert path.read_bytes() == whole
-    assert not dataset.lost()
+    assert not dataset.missing_recordings()
     assert len(dataset.attempts()) == 2, "it is the same attempt"
 
 

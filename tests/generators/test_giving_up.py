@@ -15,7 +15,7 @@ from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
 from dynaforge.generators.attempts import lost
-from dynaforge.generators.giving_up import unless_all_raise
+from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, get_task
 
@@ -79,15 +79,15 @@ def test_a_success_of_those_under_way_turns_back_from_giving_up(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("goal", "failures", "hopeless"),
+    ("goal", "failures", "should_give_up"),
     [
         (Goal(1, None), 49, False), (Goal(1, None), 50, True), (Goal(10, None), 199, False),
         (Goal(10, None), 200, True), (Goal(None, 10**6), 10**5, False), (Goal(None, 100, 7), 7, True),
         (Goal(1, None, 0), 10**9, False),
     ],
 )  # fmt: skip
-def test_hope_ends_after_twenty_failures_a_demonstration(goal: Goal, failures: int, hopeless: bool) -> None:
-    assert goal.hopeless(failures) is hopeless
+def test_hope_ends_after_twenty_failures_a_demonstration(goal: Goal, failures: int, should_give_up: bool) -> None:
+    assert goal.should_give_up(failures) is should_give_up
 
 
 def test_the_command_ends_with_1_and_says_what_it_did_not_get(
@@ -134,6 +134,6 @@ def test_a_generator_that_only_raises_has_no_rate(n: int) -> None:
     conditions = list(islice(Source().conditions(CAN), n))
     raising = engine(lambda k: False, raising=True)(CAN, PlannerOnly(), conditions)
     with pytest.raises(GaveUp, match=rf"None of {min(n, 50)} attempts .*exception: OSError: gone"):
-        list(unless_all_raise(raising, generator="mine"))
+        list(refuse_if_all_raise(raising, generator="mine"))
     failing = engine(lambda k: False)(CAN, PlannerOnly(), conditions)
-    assert len(list(unless_all_raise(failing, generator="mine"))) == n, "0 % was measured"
+    assert len(list(refuse_if_all_raise(failing, generator="mine"))) == n, "0 % was measured"
