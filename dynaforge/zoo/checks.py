@@ -1,4 +1,4 @@
-"""What a command line of rl_zoo3 may not say: refused in one line, before rl_zoo3 is imported or anything is made."""
+"""Flags and hyperparameter files that are refused before rl_zoo3 is imported or anything is made."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> N
     """Refuse numbers out of range, a log folder that is a file, and a training of nothing in particular.
 
     Args:
-        script: Of rl_zoo3.
-        asked: Its flags.
+        script: The script of rl_zoo3.
+        asked: Its flags, read.
         named_env: Whether the env was given.
 
     Raises:
@@ -42,7 +42,7 @@ def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> N
 
 
 def check_configuration(conf: str, env: str) -> None:
-    """Refuse a file of hyperparameters that rl_zoo3 cannot read, or that says nothing of the env.
+    """Refuse a file of hyperparameters that rl_zoo3 cannot read, or that lists nothing for the env.
 
     Files and packages in Python are code: they are left to rl_zoo3, which runs them.
 

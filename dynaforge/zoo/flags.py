@@ -13,8 +13,17 @@ from dynaforge.options.refusal import Refused
 from dynaforge.options.words import Choice
 from dynaforge.sim.checks import shown
 
+PLAYERS = ("enjoy", "record_video", "record_training")
+"""Scripts of rl_zoo3 that load a trained model."""
+
+PLOTTERS = ("plot_train", "all_plots", "plot_from_file")
+"""Scripts of rl_zoo3 that read logs."""
+
+SCRIPTS = ("train", *PLAYERS, *PLOTTERS)
+"""Scripts of rl_zoo3 that run here."""
+
 AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}
-"""Numbers that may not be 0: their scripts divide by them, or go on without end."""
+"""Numbers that may not be 0: their scripts divide by them, or never end."""
 
 NEEDED = {"all_plots": ("algos", "env", "exp_folders"), "plot_from_file": ("input",)}
 """Flags without which a script raises, though it does not say that it requires them."""

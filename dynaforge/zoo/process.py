@@ -1,4 +1,4 @@
-"""What is arranged for rl_zoo3 for as long as one of its scripts runs, and undone afterwards."""
+"""What is replaced in rl_zoo3 and Stable-Baselines3 while a script of rl_zoo3 runs, and put back afterwards."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ACTION_NOISE = ("noise_type", "noise_std")  # hyperparameters that rl_zoo3 turns
 
 
 class ZooProcess:
-    """Puts our parts in the place of some of rl_zoo3's and Stable-Baselines3's, all of them undone by `close`.
+    """Replaces parts of rl_zoo3 and Stable-Baselines3 by ours; `close` puts all of them back.
 
     Attributes:
         learning: Whether a training or a search has begun: what fails before is a mistake in the command line.
@@ -57,7 +57,7 @@ class ZooProcess:
             self._undo.enter_context(_ffmpeg_on_path())
 
     def put(self, name: str, value: Any) -> None:
-        """Put a value in the place of an attribute of rl_zoo3's manager."""
+        """Replace an attribute of rl_zoo3's manager."""
         from rl_zoo3.exp_manager import ExperimentManager
 
         self._put(ExperimentManager, name, value)
@@ -70,7 +70,7 @@ class ZooProcess:
             if path == self._made[0]:
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with contextlib.suppress(OSError):  # others may have put something there meanwhile
+                with contextlib.suppress(OSError):  # another process may have put something there
                     path.rmdir()
 
     def close(self) -> None:
@@ -175,7 +175,7 @@ def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _saying_what_goes_on(load: Callable[..., Any]) -> Callable[..., Any]:
-    """Say what of the earlier run goes on: rl_zoo3 counts steps anew, and may find no statistics."""
+    """Print what is continued of the earlier run: rl_zoo3 counts steps anew, and may find no statistics."""
 
     def _load_pretrained_agent(manager: Any, *args: Any) -> Any:
         model = load(manager, *args)

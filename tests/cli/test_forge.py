@@ -30,7 +30,7 @@ from dynaforge.training.history import STRATA, TrainingHistory
 from dynaforge.training.model import build_model
 from dynaforge.training.monitor import TimeLimit
 from dynaforge.training.settings import hyperparameters
-from dynaforge.zoo.scripts import config_file
+from dynaforge.zoo.algorithm import config_file
 
 
 @pytest.mark.timeout(170)
@@ -165,7 +165,7 @@ def test_a_training_that_uses_its_budget_up_ends_at_a_rate_near_zero() -> None:
 
 def test_forge_builds_the_model_that_train_builds(tmp_path: Path) -> None:
     exp_manager = pytest.importorskip("rl_zoo3.exp_manager")
-    from dynaforge.zoo.scripts import register_with_zoo
+    from dynaforge.zoo.algorithm import register_with_zoo
 
     register_with_zoo()
     manager = exp_manager.ExperimentManager(

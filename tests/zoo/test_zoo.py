@@ -18,6 +18,7 @@ import yaml
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.main import main
 from dynaforge.training.settings import variants
+from dynaforge.zoo import algorithm
 from dynaforge.zoo import scripts as zoo
 from dynaforge.zoo.flags import zoo_parser
 from dynaforge.zoo.process import ZooProcess
@@ -156,7 +157,7 @@ print([name for name in ("torch", "rl_zoo3", "pybullet", "matplotlib") if name i
 
 
 def test_no_script_of_the_zoo_leaves_a_trace_in_the_process() -> None:
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3.exp_manager import ExperimentManager
     from rl_zoo3.utils import StoreDict
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -182,7 +183,7 @@ def test_every_schedule_of_a_configuration_falls_to_zero_and_not_below(
     def look(manager: Any, model: Any) -> None:
         seen["model"] = model
 
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3.exp_manager import ExperimentManager
 
     monkeypatch.setattr(ExperimentManager, "save_trained_model", look)
@@ -245,24 +246,26 @@ class Missing:
 
 
 def test_registration_reaches_every_module_of_the_zoo() -> None:
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3 import enjoy, exp_manager, hyperparams_opt, train
 
     from dynaforge.algos import FrontierGRPO
 
     for module in (train, enjoy, exp_manager):
         assert module.ALGOS["frontier_grpo"] is module.ALGOS["grpo"] is FrontierGRPO
-    assert set(zoo.ALGORITHMS) <= set(hyperparams_opt.HYPERPARAMS_SAMPLER) & set(exp_manager.HYPERPARAMS_CONVERTER)
+    assert set(algorithm.ALGORITHMS) <= set(hyperparams_opt.HYPERPARAMS_SAMPLER) & set(
+        exp_manager.HYPERPARAMS_CONVERTER
+    )
 
 
 def test_our_hyperparameters_are_taken_only_where_they_speak_of_the_env() -> None:
-    found = zoo.config_file("frontier_grpo", "DynaForge/Can-v0")
+    found = algorithm.config_file("frontier_grpo", "DynaForge/Can-v0")
     assert found is not None
     assert found.name == "frontier_grpo.yml"
-    assert zoo.config_file("frontier_grpo", "CartPole-v1") is not None  # by its default
-    assert zoo.config_file("ppo", "DynaForge/Can-v0") is not None
-    assert zoo.config_file("ppo", "CartPole-v1") is None  # the zoo has its own
-    assert zoo.config_file("sac", "DynaForge/Can-v0") is None
+    assert algorithm.config_file("frontier_grpo", "CartPole-v1") is not None  # by its default
+    assert algorithm.config_file("ppo", "DynaForge/Can-v0") is not None
+    assert algorithm.config_file("ppo", "CartPole-v1") is None  # the zoo has its own
+    assert algorithm.config_file("sac", "DynaForge/Can-v0") is None
 
 
 @pytest.mark.parametrize(
@@ -277,7 +280,7 @@ def test_our_hyperparameters_are_taken_only_where_they_speak_of_the_env() -> Non
 def test_what_the_zoo_finds_in_the_process(
     flags: list[str], own_vec_env: bool, own_config: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3.exp_manager import ExperimentManager
 
     from dynaforge.sampling.vector_env import SharedMemoryVecEnv
@@ -296,7 +299,7 @@ def test_what_the_zoo_finds_in_the_process(
         zoo.main(["train", *flags, "--trusted"])
     assert found["script"] == "train"
     assert found["vec_env"] is (SharedMemoryVecEnv if own_vec_env else None)
-    ours = ["--conf-file", str(zoo.config_file("frontier_grpo", "DynaForge/Can-v0"))]
+    ours = ["--conf-file", str(algorithm.config_file("frontier_grpo", "DynaForge/Can-v0"))]
     assert found["argv"] == ["dynaforge train", *flags, *(ours if own_config else [])]
     assert sys.argv is before
     assert ExperimentManager.default_vec_env_cls is None
@@ -307,7 +310,7 @@ ZOO_KEYS = {"n_timesteps", "n_envs", "env_kwargs", "env_wrapper", "vec_env_wrapp
 
 @pytest.mark.parametrize("algo", ["frontier_grpo", "grpo", "ppo"])
 def test_every_configured_option_exists(algo: str) -> None:
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3 import ALGOS
 
     constructor = set(inspect.signature(ALGOS[algo].__init__).parameters)
@@ -318,7 +321,7 @@ def test_every_configured_option_exists(algo: str) -> None:
 
 def test_vanilla_differs_from_the_papers_frontier_grpo_by_strata_and_filter_alone() -> None:
     folder = files("dynaforge.zoo_configs")
-    frontier, vanilla = (yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in zoo.ALGORITHMS)
+    frontier, vanilla = (yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in algorithm.ALGORITHMS)
     assert frontier.keys() == vanilla.keys()
     for env_id in frontier:
         frontier[env_id].pop("scale_learning_rate", None)
@@ -333,7 +336,7 @@ def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -
     trial = SimpleNamespace(
         suggest_float=lambda name, low, high, log=False: high, suggest_categorical=lambda name, choices: choices[0]
     )
-    sampled = zoo.sample_hyperparameters(trial, n_actions=7, n_envs=1, additional_args={})
+    sampled = algorithm.sample_hyperparameters(trial, n_actions=7, n_envs=1, additional_args={})
     assert set(sampled) <= set(inspect.signature(FrontierGRPO.__init__).parameters)
     model = FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
     assert sampled["policy_kwargs"]["log_std_init"] == -0.7

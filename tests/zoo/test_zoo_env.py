@@ -15,6 +15,7 @@ from test_zoo import run, zoo_process
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.tasks import get_task
 from dynaforge.training.settings import hyperparameters
+from dynaforge.zoo import algorithm
 from dynaforge.zoo import scripts as zoo
 
 
@@ -65,7 +66,7 @@ def test_an_unnamed_file_of_a_task_is_offered_and_not_run(ball: Path, monkeypatc
 def test_train_takes_the_settings_that_forge_and_compare_take(
     ball: Path, algo: str, given: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    zoo.register_with_zoo()
+    algorithm.register_with_zoo()
     from rl_zoo3.exp_manager import ExperimentManager
 
     taken: dict[str, Any] = {}

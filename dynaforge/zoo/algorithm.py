@@ -1,0 +1,77 @@
+"""FrontierGRPO as rl_zoo3 knows it: by two names, with hyperparameters to start from and to search."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from dynaforge.training import settings
+from dynaforge.zoo.flags import SCRIPTS
+
+ALGORITHMS = ("frontier_grpo", "grpo")
+"""Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
+
+NET_ARCHS = {"small": [64, 64], "medium": [128, 128], "large": [256, 256]}
+
+
+def register_with_zoo() -> None:
+    """Make FrontierGRPO known to rl_zoo3, for training, loading and hyperparameter search.
+
+    rl_zoo3 imports its dictionaries by name in several modules: they are changed in place, never replaced.
+
+    Raises:
+        SystemExit: rl_zoo3, or what its tools need, is not installed.
+    """
+    try:
+        from rl_zoo3 import ALGOS
+        from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
+    except ModuleNotFoundError as error:
+        raise SystemExit(
+            f"dynaforge: {', '.join(SCRIPTS)} need {error.name}, missing here; pip install 'dynaforge[zoo]'"
+        ) from error
+    from dynaforge.algos import FrontierGRPO
+
+    for name in ALGORITHMS:
+        ALGOS[name] = FrontierGRPO
+        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters
+        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters
+
+
+def config_file(algo: str, env_id: str) -> Path | None:
+    """Return the installed hyperparameter file of an algorithm, or None where rl_zoo3's own is the better choice.
+
+    Ours are taken when they list the env, or a default for all envs; rl_zoo3 has files of its own for PPO and the like.
+    """
+    path = settings.config_file(algo)
+    if path is None or settings.entry_of(yaml.safe_load(path.read_text(encoding="utf-8")), env_id) is None:
+        return None
+    return path
+
+
+def sample_hyperparameters(trial: Any, n_actions: int, n_envs: int, additional_args: dict[str, Any]) -> dict[str, Any]:
+    """Sample the options of FrontierGRPO for an Optuna trial, as rl_zoo3's samplers do.
+
+    `log_std_init` reaches from gSDE's -4.5 of each weight to white noise's -0.7 of each component.
+    """
+    return convert_hyperparameters(
+        {
+            "learning_rate": trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True),
+            "n_epochs": trial.suggest_categorical("n_epochs", [1, 2, 4]),
+            "group_size": trial.suggest_categorical("group_size", [4, 8, 16]),
+            "max_grad_norm": trial.suggest_float("max_grad_norm", 0.3, 2.0),
+            "log_std_init": trial.suggest_float("log_std_init", -4.5, -0.7),
+            "net_arch": trial.suggest_categorical("net_arch", sorted(NET_ARCHS)),
+        }
+    )
+
+
+def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
+    """Turn sampled values into constructor arguments: the learning rate decays, noise and net_arch are the policy's."""
+    from stable_baselines3.common.utils import LinearSchedule
+
+    options = dict(sampled)
+    policy = {"log_std_init": options.pop("log_std_init"), "net_arch": NET_ARCHS[options.pop("net_arch")]}
+    decaying = LinearSchedule(start=options.pop("learning_rate"), end=0.0, end_fraction=1.0)
+    return {**options, "learning_rate": decaying, "policy_kwargs": policy}
