@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import collect as command
-from dynaforge.cli import evaluate
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
@@ -110,11 +109,11 @@ def test_evaluate_measures_no_rate_of_a_generator_that_only_raises(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = ["evaluate", "--seeds", "2", "--attempts", "3", "--out", str(tmp_path / "rate.json")]
-    monkeypatch.setattr(evaluate, "run_attempts", engine(lambda k: False, raising=True))
+    monkeypatch.setattr("dynaforge.generators.measure.run_attempts", engine(lambda k: False, raising=True))
     assert main(asked) == 1
     assert "None of 6 attempts by 'planner_only' left an episode" in capsys.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
-    monkeypatch.setattr(evaluate, "run_attempts", engine(lambda k: False))
+    monkeypatch.setattr("dynaforge.generators.measure.run_attempts", engine(lambda k: False))
     assert main(asked) == 0
 
 
