@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,53 +15,61 @@ from numpy.typing import NDArray
 from dynaforge.sim.state import BODY_COLUMNS
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
     """One recorded quantity.
 
     Attributes:
+        meaning: One sentence.
         shape: Shape of one step, the leading T left out. A letter is a size the episode chooses, the same wherever
             the letter stands.
         dtype: How it is stored.
         unit: SI unit, "-" for none.
         frame: Frame its components are written in, "-" for none.
-        meaning: One sentence.
     """
 
-    shape: tuple[int | str, ...]
-    dtype: str
-    unit: str
-    frame: str
     meaning: str
+    shape: tuple[int | str, ...] = ()
+    dtype: Literal["float64", "int16", "bool"] = "float64"
+    unit: str = "-"
+    frame: str = "-"
 
 
 _BODY = {
-    name: Field((column.size,), "float64", column.unit, "world", column.meaning)
+    name: Field(meaning=column.meaning, shape=(column.size,), unit=column.unit, frame="world")
     for name, column in BODY_COLUMNS.items()
 }
 
 SCHEMA: Mapping[str, Field] = MappingProxyType(
     {
-        "time": Field((), "float64", "s", "-", "Simulated time since reset at which the step begins; increases."),
-        "phase": Field((), "int16", "-", "-", "Index into `meta['phases']` of the phase that acted."),
-        "gate": Field((), "bool", "-", "-", "Residual gate m of Eq. 5."),
-        "q": Field((7,), "float64", "rad", "-", "Measured arm joint positions."),
-        "dq": Field((7,), "float64", "rad/s", "-", "Measured arm joint velocities."),
-        "ee_position": Field((3,), "float64", "m", "world", "Measured end-effector position."),
-        "ee_quat_wxyz": Field((4,), "float64", "-", "world", "Measured end-effector orientation."),
-        "width": Field((), "float64", "m", "-", "Measured opening between the fingers."),
+        "time": Field(meaning="Simulated time since reset at which the step begins; increases.", unit="s"),
+        "phase": Field(meaning="Index into `meta['phases']` of the phase that acted.", dtype="int16"),
+        "gate": Field(meaning="Residual gate m of Eq. 5.", dtype="bool"),
+        "q": Field(meaning="Measured arm joint positions.", shape=(7,), unit="rad"),
+        "dq": Field(meaning="Measured arm joint velocities.", shape=(7,), unit="rad/s"),
+        "ee_position": Field(meaning="Measured end-effector position.", shape=(3,), unit="m", frame="world"),
+        "ee_quat_wxyz": Field(meaning="Measured end-effector orientation.", shape=(4,), frame="world"),
+        "width": Field(meaning="Measured opening between the fingers.", unit="m"),
         **{f"object/<name>/{key}": field for key, field in _BODY.items()},
         **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
-        "planner_action": Field(("A",), "float64", "m, -, m", "base", "a_plan: target pose, then gripper width."),
-        "residual_action": Field(("R",), "float64", "m, rad, m", "world", "m * scale * a_res as applied."),
-        "requested_action": Field(("A",), "float64", "m, -, m", "base", "a_plan + m * scale * residual, Eq. 5."),
-        "projected_action": Field(("A",), "float64", "m, -, m", "base", "What the limits left of the request, Eq. 5."),
-        "joint_reference": Field((7,), "float64", "rad", "-", "projected_action in joint form, as commanded."),
-        "joint_velocity_reference": Field((7,), "float64", "rad/s", "-", "Joint velocities fed forward with them."),
-        "width_reference": Field((), "float64", "m", "-", "Gripper width commanded."),
-        "left_contact": Field((), "bool", "-", "-", "The left finger touches the manipulated object."),
-        "right_contact": Field((), "bool", "-", "-", "The right finger touches the manipulated object."),
-        "reward": Field((), "float64", "-", "-", "Reward of the step; R of Eq. 6 at the last, else 0."),
+        "planner_action": Field(
+            meaning="a_plan: target pose, then gripper width.", shape=("A",), unit="m, -, m", frame="base"
+        ),
+        "residual_action": Field(
+            meaning="m * scale * a_res as applied.", shape=("R",), unit="m, rad, m", frame="world"
+        ),
+        "requested_action": Field(
+            meaning="a_plan + m * scale * residual, Eq. 5.", shape=("A",), unit="m, -, m", frame="base"
+        ),
+        "projected_action": Field(
+            meaning="What the limits left of the request, Eq. 5.", shape=("A",), unit="m, -, m", frame="base"
+        ),
+        "joint_reference": Field(meaning="projected_action in joint form, as commanded.", shape=(7,), unit="rad"),
+        "joint_velocity_reference": Field(meaning="Joint velocities fed forward with them.", shape=(7,), unit="rad/s"),
+        "width_reference": Field(meaning="Gripper width commanded.", unit="m"),
+        "left_contact": Field(meaning="The left finger touches the manipulated object.", dtype="bool"),
+        "right_contact": Field(meaning="The right finger touches the manipulated object.", dtype="bool"),
+        "reward": Field(meaning="Reward of the step; R of Eq. 6 at the last, else 0."),
     }
 )
 """Names of `Episode.steps`. `<name>` stands for a body's name; names under `extra/` are free."""

@@ -14,7 +14,7 @@ from dynaforge.sim import SceneState
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Outcome, Task
-from dynaforge.tasks.action import ActionLayout
+from dynaforge.tasks.action import ActionLayout, ActionMode, RotationForm
 from dynaforge.tasks.success import SuccessJudge
 
 Observation = NDArray[np.float64]
@@ -47,8 +47,8 @@ class TaskEnv(WorldEnv):
         self,
         task: str | Task = "can",
         *,
-        action_mode: str = "ee",
-        rotation: str = "rotvec",
+        action_mode: ActionMode = "ee",
+        rotation: RotationForm = "rotvec",
         elbow: bool = False,
         render_mode: str | None = None,
         visuals: Visuals = False,

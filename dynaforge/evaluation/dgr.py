@@ -64,7 +64,7 @@ class Count:
         return wilson_interval(self.successes, self.n)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DgrReport:
     """How often a generator succeeds. Every attempt counts: planner failures, exceptions and timeouts too.
 
@@ -106,14 +106,13 @@ class DgrReport:
         for record in records:
             bins[_bin(record.difficulty, low, high, n_bins)].append(record)
             blocks.setdefault(record.block, []).append(record)
-        reasons = Counter(record.failure or "unnamed" for record in records if not record.success)
         return DgrReport(
             label=label,
             total=_count(records),
             blocks=tuple(_count(blocks[key]) for key in sorted(blocks)),
             edges=tuple(low + (high - low) * i / n_bins for i in range(n_bins + 1)),
             bins=tuple(_count(members) for members in bins),
-            failures=dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
+            failures=failure_counts(records),
         )
 
     @property
@@ -183,6 +182,12 @@ class DgrReport:
         grid.add_row("all", str(self.n), *_cells(self.total))
         lines = [f"  {number:4d}  {reason}" for reason, number in self.failures.items()]
         return _render(grid, width) + ("\nfailures\n" + "\n".join(lines) if lines else "")
+
+
+def failure_counts(attempts: Iterable[AttemptRecord]) -> dict[str, int]:
+    """Count the reasons of failed attempts, the most frequent first."""
+    reasons = Counter(attempt.failure or "unnamed" for attempt in attempts if not attempt.success)
+    return dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0])))
 
 
 def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:

@@ -14,7 +14,7 @@ WINDOW = 20
 SMOOTHING = 9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FrontierAnalysis:
     """Success of each stratum over a training run, and how deep the mastered ranks reach.
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dynaforge.demos import Attempt
-from dynaforge.evaluation.dgr import Count
+from dynaforge.evaluation.dgr import Count, failure_counts
 from dynaforge.tasks import Task
 
 STRATA = 8
@@ -41,12 +40,11 @@ def summarise(task: Task, attempts: Sequence[Attempt]) -> dict[str, Any]:
     for attempt in attempts:
         parts[task.conditions.stratum(attempt.difficulty, STRATA)].append(attempt)
         by_generator.setdefault(attempt.generator, []).append(attempt)
-    reasons = Counter(attempt.failure for attempt in attempts if not attempt.success)
     return {
         "bins": [_counted(name, part) for name, part in zip(strata(task), parts, strict=True)],
         "generators": [_counted(name, made) for name, made in sorted(by_generator.items())],
         "lengths": _lengths(attempts),
-        "failures": sorted(reasons.items(), key=lambda item: (-item[1], item[0])),
+        "failures": list(failure_counts(attempts).items()),
     }
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from dynaforge.sim.checks import check_flag, shown
 from dynaforge.sim.robot import ELBOW
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
-ACTION_MODES = ("ee", "joint")
-ROTATIONS: Mapping[str, tuple[str, ...]] = {
+ActionMode = Literal["ee", "joint"]
+RotationForm = Literal["quat_wxyz", "rotvec", "rotation_6d"]
+ACTION_MODES: tuple[ActionMode, ...] = get_args(ActionMode)
+ROTATIONS: Mapping[RotationForm, tuple[str, ...]] = {
     "quat_wxyz": ("qw", "qx", "qy", "qz"),
     "rotvec": ("rx", "ry", "rz"),
     "rotation_6d": ("r1x", "r1y", "r1z", "r2x", "r2y", "r2z"),
@@ -54,8 +56,8 @@ class ActionLayout:
         ValueError: Unknown mode or rotation, or an elbow beside joint positions.
     """
 
-    mode: str = "ee"
-    rotation: str = "quat_wxyz"
+    mode: ActionMode = "ee"
+    rotation: RotationForm = "quat_wxyz"
     elbow: bool = False
 
     def __post_init__(self) -> None:

@@ -16,7 +16,15 @@ from dynaforge.demos.episode import Episode
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.geometry import one_line
 from dynaforge.tasks import Task
-from dynaforge.tasks.action import ACTION_MODES, JOINTS, ROTATIONS, ActionLayout, without_jumps
+from dynaforge.tasks.action import (
+    ACTION_MODES,
+    JOINTS,
+    ROTATIONS,
+    ActionLayout,
+    ActionMode,
+    RotationForm,
+    without_jumps,
+)
 
 Floats = NDArray[np.float32]
 STATE = ("ee_position", "ee_quat_wxyz", "width", "q")
@@ -28,13 +36,11 @@ ROBOT_NAMES = {"ee_position": AXES, "ee_quat_wxyz": QUAT, "width": ("width",), "
 """Names of the components of each quantity in `Frames.robot`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frames:
     """One episode; leading dimension T.
 
     Attributes:
-        id: Of the episode.
-        success: Whether it is one.
         fps: Control steps a second.
         robot: `ee_position` (3), `ee_quat_wxyz` (4), `width` (1), `q` (7), `dq` (7), float32.
         objects: `<name>_position`, `<name>_quat_wxyz`, `<name>_velocity`, `<name>_angular_velocity`, float32: the
@@ -54,8 +60,6 @@ class Frames:
         episode: What it was made from.
     """
 
-    id: str
-    success: bool
     fps: int
     robot: Mapping[str, Floats]
     objects: Mapping[str, Floats]
@@ -76,6 +80,16 @@ class Frames:
 
     def __len__(self) -> int:
         return len(self.actions)
+
+    @property
+    def id(self) -> str:
+        """Id of the episode."""
+        return self.episode.id
+
+    @property
+    def success(self) -> bool:
+        """Whether the episode is a success."""
+        return self.episode.success
 
     @property
     def action_names(self) -> tuple[str, ...]:
@@ -120,8 +134,8 @@ def read_frames(
     dataset: DemonstrationDataset,
     *,
     fps: int,
-    actions: str = "ee",
-    rotation: str = "quat_wxyz",
+    actions: ActionMode = "ee",
+    rotation: RotationForm = "quat_wxyz",
     elbow: bool = True,
     observations: ObservationFolder | None = None,
     depth: bool = True,
@@ -196,8 +210,6 @@ def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kin
     nothing = np.zeros(n, dtype=bool)
     seen = _seen(observations, episode)
     return Frames(
-        id=episode.id,
-        success=episode.success,
         fps=kind.fps,
         robot=robot_columns(steps),
         objects=object_columns(steps),
