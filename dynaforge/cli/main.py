@@ -20,10 +20,10 @@ from dynaforge.files.versions import PACKAGES, package_versions
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns the exit status.
+    """Run a command and return its exit status.
 
-    A user's mistake ends in one line on stderr and status 2, before any long work; what leads nowhere in one with the
-    reasons and status 1.
+    A user's mistake ends in one line on stderr and status 2, before any long work; work that leads nowhere ends in one
+    with the reasons and status 1.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     # Read when numpy and torch are first imported, below. The cores belong to the workers: on networks as small as
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return int(import_module(f"dynaforge.cli.{command.module or name}").run(options))
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # as with `| head`: nobody reads on
+    except BrokenPipeError:  # as with `| head`, which stops reading
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except (ValueError, OSError, ImportError) as error:
@@ -58,8 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _zoo(arguments: Sequence[str]) -> int:
-    """Run a script of rl_zoo3; what it cannot begin with is a mistake, as in the other commands."""
-    from dynaforge.zoo.scripts import ZooFailure
+    """Run a script of rl_zoo3; a mistake that keeps it from starting is status 2, as in the other commands."""
+    from dynaforge.zoo.refusals import ZooFailure
     from dynaforge.zoo.scripts import main as zoo
 
     try:
@@ -85,7 +85,7 @@ def _sigterm_as_ctrl_c() -> Iterator[None]:
 
 
 def _print_error(name: str, error: Exception, *, status: int) -> int:
-    """Say in one line on stderr what is wrong; returns the status."""
+    """Print in one line on stderr what is wrong; returns the status."""
     message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
     print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)
     return status
@@ -97,7 +97,7 @@ def _remedy(error: Exception) -> str:
 
 
 def _overview(name: str, rest: Sequence[str]) -> int:
-    texts = {command: about.text for command, about in COMMANDS.items()} | ZOO
+    texts = {known: command.text for known, command in COMMANDS.items()} | ZOO
     if name in ("-V", "--version"):
         return _version(rest)
     if name not in ("-h", "--help", ""):
