@@ -74,7 +74,7 @@ class DgrReport:
         blocks: By block of conditions, in order of their number.
         edges: Edges of the difficulty bins, ascending, one more than bins.
         bins: By difficulty, easiest first.
-        failures: Attempts lost to each reason, most frequent first.
+        failures: Number of failed attempts by reason, most frequent first.
     """
 
     label: str

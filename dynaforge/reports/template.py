@@ -189,7 +189,7 @@ COMPARISON = (
 <section>
 <h2>{{ section.title }}</h2>
 <div class="card scroll" tabindex="0"><table>
-<tr><th>arm</th>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
+<tr><th>variant</th>{% for name in columns %}<th>{{ name }}</th>{% endfor %}</tr>
 {% for name, cells in section.rows %}
 <tr><td>{{ name }}</td>{% for cell in cells %}<td>{{ cell }}</td>{% endfor %}
 {% for _ in columns[cells | length:] %}<td></td>{% endfor %}</tr>
@@ -197,7 +197,7 @@ COMPARISON = (
 </table></div>
 {% if section.groups %}
 <div class="card scroll" tabindex="0"><table>
-<tr><th>arm</th><th>groups all lost</th><th>mixed</th><th>all won</th><th>strata won and lost again</th></tr>
+<tr><th>variant</th><th>groups all failed</th><th>mixed</th><th>all succeeded</th><th>strata forgotten</th></tr>
 {% for row in section.groups %}
 <tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}
@@ -214,8 +214,8 @@ COMPARISON = (
 {% if not sections %}<p>No run has been stored yet, so there is nothing to compare.</p>{% endif %}
 <section>
 <h2>Settings</h2>
-{% for arm, values in settings.items() %}
-<details class="card"><summary>{{ arm }}</summary><dl>
+{% for variant, values in settings.items() %}
+<details class="card"><summary>{{ variant }}</summary><dl>
 {% for name, value in values.items() %}<dt>{{ name }}</dt><dd>{{ value }}</dd>{% endfor %}
 </dl></details>
 {% else %}

@@ -10,9 +10,9 @@ from typing import Any
 from dynaforge.algos.options import WHOLE_NUMBERS, check_number, check_whole
 
 SET_OTHERWISE = {
-    "n_timesteps": "what --steps says, for all arms alike",
+    "n_timesteps": "what --steps says, for all variants alike",
     "seed": "counted up by --train-seeds",
-    "device": "the CPU, one core a run",
+    "device": "the CPU, one core per run",
     "env": "what --task says",
     "verbose": "no setting of training",
     "tensorboard_log": "no setting of training; the history of each run is stored beside it",
