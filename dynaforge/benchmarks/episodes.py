@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.envs.executor import PhaseExecutor
-from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.residual_env import GateMode, ResidualEnv
 from dynaforge.envs.world import ControlStep, World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition, SceneState
@@ -70,7 +70,8 @@ class TrajectoryHash:
         self._digest = hashlib.sha256()
 
     def __call__(self, step: ControlStep) -> None:
-        for array in (*state_arrays(step.after), step.reference.q, step.reference.dq, np.array(step.reference.width)):
+        joints, width = step.reference.joints, np.array(step.reference.width)
+        for array in (*state_arrays(step.after), joints.q, joints.dq, width):
             self._digest.update(array.tobytes())
 
     def value(self, outcome: Outcome | None) -> str:
@@ -98,7 +99,7 @@ class HashingEnv(gym.Wrapper[Any, Any, Any, Any]):
         gate_mode: Of the env.
     """
 
-    def __init__(self, task: str, gate_mode: str = "skip") -> None:
+    def __init__(self, task: str, gate_mode: GateMode = "skip") -> None:
         self.residual_env = ResidualEnv(task, gate_mode=gate_mode)
         super().__init__(self.residual_env)
         self._hash = TrajectoryHash()

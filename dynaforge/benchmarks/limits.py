@@ -14,7 +14,7 @@ from dynaforge.benchmarks.episodes import bench_conditions, run_planner_only
 from dynaforge.benchmarks.figure import Figure, tracked
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.world import World
-from dynaforge.geometry import Array, JointTrajectory, Pose, matrix_from_rotvec
+from dynaforge.geometry import Array, JointState, JointTrajectory, Pose, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, LocalPlanner, Obstacle, PlanFailure
 from dynaforge.sim import SimScene
 from dynaforge.sim.robot import RobotDescription
@@ -136,9 +136,9 @@ class RecordingPlanner(GlobalPlanner):
         super().__init__(robot, ArmKinematics(robot), collision, dt=dt)
         self.kept: list[JointTrajectory] = []
 
-    def plan(self, q: Array, dq: Array, ddq: Array, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+    def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
         """Plan and keep."""
-        self.kept.append(super().plan(q, dq, ddq, target, rng=rng))
+        self.kept.append(super().plan(start, target, rng=rng))
         return self.kept[-1]
 
 
@@ -168,18 +168,16 @@ def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
 
 def _random_goals(planner: RecordingPlanner, n: int, rng: np.random.Generator) -> int:
     """Plan to n random goals in a chain; return how many have no plan."""
-    still = np.zeros(7)
-    q, dq, ddq, failures = planner.robot.q_ready, still, still, 0
+    start, failures = JointState.at_rest(planner.robot.q_ready), 0
     for k in tracked(range(n), "planner to random goals", total=n):
         position = rng.uniform((0.3, -0.4, 0.05), (0.65, 0.4, 0.5))
         turn = matrix_from_rotvec(np.array((0.0, 0.0, rng.uniform(-np.pi / 2, np.pi / 2))))
         try:
-            trajectory = planner.plan(q, dq, ddq, Pose(turn @ DOWN_ALONG_X, position), rng=rng)
+            trajectory = planner.plan(start, Pose(turn @ DOWN_ALONG_X, position), rng=rng)
         except PlanFailure:
             failures += 1
             continue
-        at = len(trajectory) // 2 if k % 2 else -1
-        q, dq, ddq = trajectory.q[at], trajectory.dq[at], trajectory.ddq[at]
+        start = trajectory[len(trajectory) // 2 if k % 2 else -1]
     return failures
 
 

@@ -115,7 +115,7 @@ def _record(env: ResidualEnv, condition: Condition) -> Recording:
         run_zero_residual(env, condition)
     finally:
         env.world.listeners.clear()
-    references = [(step.reference.q, step.reference.width) for step in steps]
+    references = [(step.reference.joints.q, step.reference.width) for step in steps]
     return Recording(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
 
 

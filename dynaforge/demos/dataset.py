@@ -98,6 +98,8 @@ class DemonstrationDataset:
     def record(self, attempt: Attempt, episode: Episode | None = None) -> Attempt:
         """Record an attempt; its recording, where it is to be kept, is on disk before its line in the ledger is.
 
+        The recordings of the successes are the demonstration set D of Eq. 2.
+
         Args:
             attempt: What happened.
             episode: Its recording; None where it left none (an exception, a worker that died): it counts all the same.

@@ -14,7 +14,7 @@ from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.untrusted import DamagedFileError
 from dynaforge.registration import ENV_NAMES
-from dynaforge.tasks import Task, get_task, task_file_name
+from dynaforge.tasks import FRAMES, Task, get_task, task_file_name
 from dynaforge.tasks.digest import task_digest
 
 
@@ -48,7 +48,7 @@ def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
 def _variants(task: Task) -> Iterable[Task]:
     """Yield the task as it is, then as `forge --residual-frame` changes it."""
     yield task
-    for frame in ("target", "world"):
+    for frame in FRAMES:
         yield replace(task, residual=replace(task.residual, frame=frame))
 
 

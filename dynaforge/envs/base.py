@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -15,6 +15,8 @@ from dynaforge.sim import Condition
 from dynaforge.sim.camera import Visuals, film_camera
 from dynaforge.sim.checks import shown
 from dynaforge.tasks import ConditionSpace, Task, get_task
+
+RenderMode = Literal["rgb_array", "human"]
 
 
 class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
@@ -30,9 +32,9 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         OSError: Mode "human" without a display.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 30}
+    metadata: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 30}
 
-    def __init__(self, task: str | Task, render_mode: str | None, *, visuals: Visuals = False) -> None:
+    def __init__(self, task: str | Task, render_mode: RenderMode | None, *, visuals: Visuals = False) -> None:
         self.task = task if isinstance(task, Task) else get_task(task)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynaforge.geometry import Array, JointTrajectory, Pose, one_line
+from dynaforge.geometry import JointState, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
-from dynaforge.sim import Condition, SceneState
+from dynaforge.sim import Condition, HandTarget, SceneState
 from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
@@ -17,33 +17,22 @@ from dynaforge.tasks.words import aim, judge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointSample:
-    """One sample of a planned joint trajectory: positions, velocities, accelerations, shape (7,) each."""
-
-    q: Array
-    dq: Array
-    ddq: Array
-
-    __repr__ = one_line
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PlannedAction:
     """a_plan of Eq. 5 for one control step.
 
     Attributes:
-        target: Desired end-effector pose `T_world_ee`.
-        width: Desired opening between the fingers, metres.
+        target: Desired pose of the end effector and opening of the fingers.
         gate: m of Eq. 5.
         phase: Index of the running phase.
         sample: In a global phase the trajectory's sample, followed verbatim; else None, and IK tracks `target`.
     """
 
-    target: Pose
-    width: float
+    target: HandTarget
     gate: bool
     phase: int
-    sample: JointSample | None
+    sample: JointState | None
+
+    __repr__ = one_line
 
 
 class PhaseExecutor:
@@ -89,9 +78,9 @@ class PhaseExecutor:
         view = self._view(state)
         phase = self.phase
         for reason, impossible in (*phase.fails, *self.task.endings):
-            if self._holds(reason, impossible, view, self.action.target):
+            if self._holds(reason, impossible, view, self.action.target.pose):
                 return self._fail(reason)
-        if self._hold.push(self._holds("done", phase.done, view, self.action.target)):
+        if self._hold.push(self._holds("done", phase.done, view, self.action.target.pose)):
             if phase.takes_hold:
                 self._grasp = state
             if self.index + 1 == len(self.task.phases):
@@ -134,10 +123,8 @@ class PhaseExecutor:
         if self.phase.mode is Mode.GLOBAL:
             self._target = self._aim(view)
             try:
-                self._trajectory = self._planner.plan(
-                    reference.q, reference.dq, reference.ddq, self._target,
-                    rng=np.random.default_rng((self._seed, index)),
-                )  # fmt: skip
+                rng = np.random.default_rng((self._seed, index))
+                self._trajectory = self._planner.plan(reference.joints, self._target, rng=rng)
             except PlanFailure as failure:
                 self._plan(view)  # the last observation shows this phase and target, not those before
                 return self._fail(f"plan failed: {failure.reason}")
@@ -147,13 +134,12 @@ class PhaseExecutor:
     def _plan(self, view: PhaseView) -> None:
         phase, sample = self.phase, None
         if self._trajectory is not None:
-            k = min(self._steps + 1, len(self._trajectory) - 1)
-            sample = JointSample(self._trajectory.q[k], self._trajectory.dq[k], self._trajectory.ddq[k])
+            sample = self._trajectory[min(self._steps + 1, len(self._trajectory) - 1)]
         elif not self._frozen:
             self._target = self._aim(view)
             until = phase.track_until
             self._frozen = until is not None and self._holds("track_until", until, view, self._target)
-        self.action = PlannedAction(self._target, phase.width, phase.gate, self.index, sample)
+        self.action = PlannedAction(HandTarget(self._target, phase.width), phase.gate, self.index, sample)
 
     def _holds(self, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> bool:
         return judge(self._place, role, predicate, view, target)
@@ -163,7 +149,13 @@ class PhaseExecutor:
 
     def _view(self, state: SceneState) -> PhaseView:
         return PhaseView(
-            state, self._entry, self._start, self._frames, self._entry_frames, self._grasp, self._lead_time
+            state=state,
+            entry=self._entry,
+            start=self._start,
+            frames=self._frames,
+            entry_frames=self._entry_frames,
+            grasp=self._grasp,
+            lead_time=self._lead_time,
         )
 
     def _fail(self, reason: str) -> None:

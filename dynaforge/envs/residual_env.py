@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.base import WorldEnv, check_choice
+from dynaforge.envs.base import RenderMode, WorldEnv, check_choice
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.observation import LIMIT, ObservationBuilder, residual_sizes
+from dynaforge.envs.residual import ResidualScale
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_number
-from dynaforge.tasks import Task, get_task
+from dynaforge.tasks import FRAMES, Frame, Task, get_task
 
 Observation = NDArray[np.float32]
 
-GATE_MODES = ("skip", "mask")
+GateMode = Literal["skip", "mask"]
+GATE_MODES: tuple[GateMode, ...] = get_args(GateMode)
 
 
 class ResidualEnv(WorldEnv):
@@ -54,26 +56,24 @@ class ResidualEnv(WorldEnv):
         self,
         task: str | Task = "can",
         *,
-        gate_mode: str = "skip",
-        render_mode: str | None = None,
+        gate_mode: GateMode = "skip",
+        render_mode: RenderMode | None = None,
         lead_time: float = 0.0,
-        residual_frame: str | None = None,
+        residual_frame: Frame | None = None,
     ) -> None:
         check_choice("gate_mode", gate_mode, GATE_MODES)
         check_number("lead_time", lead_time, least=0.0)
-        check_choice("residual_frame", residual_frame, (None, "target", "world"))
+        check_choice("residual_frame", residual_frame, (None, *FRAMES))
         super().__init__(task, render_mode)
-        self.residual_frame = residual_frame or self.task.residual.frame
         self.gate_mode = gate_mode
         self.executor = PhaseExecutor(
             self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
         )
-        scales = np.array(self.task.residual.scales)
-        self._active = np.flatnonzero(scales)
-        self._scales = scales[self._active]
-        self.observer = ObservationBuilder(self.task, self.world.scene.robot, len(self._active))
+        self.residual_scale = ResidualScale(self.task.residual, residual_frame)
+        self.residual_frame = self.residual_scale.frame
+        self.observer = ObservationBuilder(self.task, self.world.scene.robot, self.residual_scale.size)
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self._active),), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.residual_scale.size,), np.float32)
         self._left = 0  # control steps for which the latest residual is still to be held
         self._filmed = False  # a picture was taken since the latest step or reset
         self._fresh = False  # nothing happened since the reset
@@ -119,7 +119,7 @@ class ResidualEnv(WorldEnv):
         decides = self._left == 0 and self.executor.outcome is None and self.executor.action.gate
         if decides:
             self._last_action = np.clip(values, -1.0, 1.0)
-            self._residual = self._physical_residual()
+            self._residual = self.residual_scale.physical(self._last_action, self.executor)
             self._left = self.task.residual.decision_steps
         self._run_decision(at_most=1 if filmed else self.task.residual.decision_steps)
         if self.gate_mode == "skip" and not filmed:
@@ -148,7 +148,7 @@ class ResidualEnv(WorldEnv):
     def _begin(self, condition: Condition) -> None:
         state = self.world.reset(condition)
         self.observer.reset(state)
-        self._last_action = np.zeros(len(self._active))
+        self._last_action = np.zeros(self.residual_scale.size)
         self._left = 0
         self.executor.reset(state, condition, self.world.reference)
         self._fresh = False
@@ -172,16 +172,6 @@ class ResidualEnv(WorldEnv):
         state = self.world.execute(self.executor.action, residual)
         self.observer.push(state)
         self.executor.advance(state, self.world.reference)
-
-    def _physical_residual(self) -> Array:
-        """Scale the held action and turn it into the world frame, shape (7,)."""
-        residual = np.zeros(7)
-        residual[self._active] = self.executor.phase.residual_share * self._scales * self._last_action
-        if self.residual_frame == "target":
-            rotation = self.executor.frame.rotation
-            residual[:3] = rotation @ residual[:3]
-            residual[3:6] = rotation @ residual[3:6]
-        return residual
 
     def _observation(self) -> Observation:
         return self.observer.build(self.executor, self._last_action)

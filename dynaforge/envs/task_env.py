@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.base import WorldEnv
+from dynaforge.envs.base import RenderMode, WorldEnv
 from dynaforge.geometry import Array, Pose
-from dynaforge.sim import SceneState
+from dynaforge.sim import HandTarget, SceneState
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Outcome, Task
@@ -50,7 +50,7 @@ class TaskEnv(WorldEnv):
         action_mode: ActionMode = "ee",
         rotation: RotationForm = "rotvec",
         elbow: bool = False,
-        render_mode: str | None = None,
+        render_mode: RenderMode | None = None,
         visuals: Visuals = False,
     ) -> None:
         self.action_layout = ActionLayout(action_mode, rotation, elbow)
@@ -104,17 +104,17 @@ class TaskEnv(WorldEnv):
         return self._observation(), float(info["is_success"]), self.outcome is not None, False, info
 
     def _move(self, action: Array) -> SceneState:
-        width = self.action_layout.width(action)
         if self.action_mode == "joint":
-            return self.world.reach_joints(action[:7], width)
+            return self.world.reach_joints(action[:7], self.action_layout.width(action))
         elbow = float(action[-1]) if self.action_layout.elbow else None
-        return self.world.reach(self._pose(action), width, elbow=elbow)
+        return self.world.reach(self._hand_target(action), elbow=elbow)
 
-    def _pose(self, action: Array) -> Pose:
+    def _hand_target(self, action: Array) -> HandTarget:
         try:
-            return self.action_layout.pose(action)
+            return self.action_layout.hand_target(action)
         except ValueError:  # no rotation; what is learned from scratch comes by such corners of the action space
-            return Pose(self.world.kinematics.forward(self.world.reference.q).rotation, action[:3])
+            rotation = self.world.kinematics.forward(self.world.reference.joints.q).rotation
+            return HandTarget(Pose(rotation, action[:3]), self.action_layout.width(action))
 
     def _judged(self) -> Outcome | None:
         """Return how the episode ends: whether the task's success has held long enough; None where it goes on."""

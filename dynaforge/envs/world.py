@@ -1,4 +1,4 @@
-"""One control step of the whole stack: requested target -> IK and Ruckig -> physics, recorded."""
+"""One control step of the whole stack: requested target -> joint reference -> physics, recorded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynaforge.envs.executor import PlannedAction
-from dynaforge.geometry import Array, Pose, matrix_from_rotvec, one_line
+from dynaforge.envs.residual import gated, project, requested_target
+from dynaforge.geometry import Array, one_line
 from dynaforge.planning import (
     ArmKinematics,
     CollisionModel,
@@ -17,15 +18,13 @@ from dynaforge.planning import (
     LocalPlanner,
     TargetFollower,
 )
-from dynaforge.sim import Condition, SceneState, SimScene
+from dynaforge.sim import Condition, HandTarget, SceneState, SimScene
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.checks import check_kind
 from dynaforge.tasks import Task
 
-LOWEST_EE = 0.012  # metres above the table: the finger tips are 7 mm below the end-effector frame
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ControlStep:
     """All that is recorded of one control step.
 
@@ -33,7 +32,7 @@ class ControlStep:
         before, after: The measured scene at its beginning and end.
         planned: a_plan of Eq. 5; None when an external policy acts.
         residual: The residual in physical units as applied (m * scale * a_res), shape (7,).
-        requested, requested_width: The target asked of the arm: `T_world_ee`, and metres.
+        requested: The target asked of the hand.
         reference: The joint reference that the limits left of it: the projection of Eq. 5.
     """
 
@@ -41,8 +40,7 @@ class ControlStep:
     after: SceneState
     planned: PlannedAction | None
     residual: Array
-    requested: Pose
-    requested_width: float
+    requested: HandTarget
     reference: JointReference
 
     __repr__ = one_line
@@ -82,62 +80,48 @@ class World:
         return self.state
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
-        """Execute Eq. 5 for one control step.
+        """Execute Eq. 5 for one control step; `envs/residual.py` explains it.
 
         Args:
-            planned: a_plan.
-            residual: Physical residual in the world frame, shape (7,): translation (m), rotation vector (rad), width
-                (m); None for none.
+            planned: a_plan and m.
+            residual: scale * a_res as `ResidualScale.physical` returns it, shape (7,); None for none.
         """
-        if planned.sample is not None:
-            s = planned.sample
-            reference = self.local.follow(s.q, s.dq, s.ddq, planned.width)
-            return self._step(reference, planned.target, planned.width, planned, self._no_residual)
-        target, width = planned.target, planned.width
-        if residual is not None:
-            target, width = corrected(target, width, residual)
-        reference = self.local.track(*self._inside(target, width))
-        return self._step(reference, target, width, planned, self._no_residual if residual is None else residual)
+        residual = gated(residual, planned)
+        requested = requested_target(planned, residual)
+        reference = project(requested, planned, self.local)
+        return self._step(reference, requested, planned, self._no_residual if residual is None else residual)
 
-    def reach(self, target: Pose, width: float, *, elbow: float | None = None) -> SceneState:
-        """Bring the end effector to an absolute target `T_world_ee` and opening (m) in one control step.
+    def reach(self, target: HandTarget, *, elbow: float | None = None) -> SceneState:
+        """Bring the hand to an absolute target in one control step.
 
         It gets there wherever the limits allow, and else as near as they do; `elbow` is the third joint's angle, rad.
         """
-        reference = self.follower.reach(target, width, elbow=elbow)
-        return self._step(reference, target, width, None, self._no_residual)
+        return self._step(self.follower.reach(target, elbow=elbow), target, None, self._no_residual)
 
     def reach_joints(self, q: Array, width: float) -> SceneState:
         """Bring the joints to absolute targets (rad, shape (7,)) and the opening (m) in one control step, likewise."""
         reference = self.follower.reach_joints(q, width)
-        return self._step(reference, self.kinematics.forward(q), width, None, self._no_residual)
+        return self._step(reference, HandTarget(self.kinematics.forward(q), width), None, self._no_residual)
 
     def close(self) -> None:
         """Release physics; safe to call more than once."""
         self.scene.close()
 
-    def _inside(self, target: Pose, width: float) -> tuple[Pose, float]:
-        if target.position[2] < LOWEST_EE:
-            x, y, _ = target.position.tolist()
-            target = Pose(target.rotation, np.array((x, y, LOWEST_EE)))
-        return target, min(max(width, 0.0), self.scene.robot.width_max)
-
     def _step(
-        self, reference: JointReference, target: Pose, width: float, planned: PlannedAction | None, residual: Array
+        self, reference: JointReference, requested: HandTarget, planned: PlannedAction | None, residual: Array
     ) -> SceneState:
         before = self.state
         self.reference = reference
-        self.state = self.scene.step(reference.q, reference.width)
+        self.state = self.scene.step(reference.joints.q, reference.width)
         if self.listeners:
-            record = ControlStep(before, self.state, planned, residual, target, width, reference)
+            record = ControlStep(
+                before=before,
+                after=self.state,
+                planned=planned,
+                residual=residual,
+                requested=requested,
+                reference=reference,
+            )
             for listener in self.listeners:
                 listener(record)
         return self.state
-
-
-def corrected(target: Pose, width: float, residual: Array) -> tuple[Pose, float]:
-    """Add a world-frame residual, shape (7,), to a target before IK (Eq. 5 without its projection)."""
-    rotation = target.rotation
-    if residual[3] or residual[4] or residual[5]:
-        rotation = matrix_from_rotvec(residual[3:6]) @ rotation
-    return Pose(rotation, target.position + residual[:3]), width + float(residual[6])

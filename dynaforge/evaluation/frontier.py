@@ -55,7 +55,7 @@ def analyse_frontier(
     smoothing: int = SMOOTHING,
     confidence: float = 0.95,
 ) -> FrontierAnalysis:
-    """Find the competence frontier of a training run.
+    """Find the competence frontier of a training run from the windowed success of Eq. 10.
 
     The frontier is the deepest contiguous rank for which every stratum up to it has a Wilson lower bound of at least
     one half, over the outcomes pooled in the trailing window.

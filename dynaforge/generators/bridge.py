@@ -67,7 +67,7 @@ class ExportBridge:
         if np.isfinite(row).all():
             row = np.clip(row, self.env.action_space.low, self.env.action_space.high)  # type: ignore[attr-defined]
             if self.layout.mode == "ee":
-                self.layout.pose(row)  # from a policy that was taught rotations, none is a mistake
+                self.layout.hand_target(row)  # from a policy that was taught rotations, none is a mistake
         _, reward, done, truncated, info = self.env.step(row.astype(np.float32))
         return self.observation(), reward, done, truncated, info
 

@@ -72,7 +72,7 @@ class ResidualGenerator:
         self.name = name
 
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
-        """Run one episode and record it."""
+        """Run one episode under a condition and record it, Eq. 1."""
         recorder = Recorder(env.task, env.world.kinematics)
         env.world.listeners.append(recorder)
         try:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.envs.world import ControlStep
-from dynaforge.geometry import Array, Pose
 from dynaforge.planning import ArmKinematics
-from dynaforge.sim import SceneState
+from dynaforge.sim import HandTarget, SceneState
 from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Task
 
@@ -43,12 +42,12 @@ class Recorder:
         before = [s.before for s in steps]
         columns = measured(before, self._task) | {
             "residual_action": [s.residual for s in steps],
-            "requested_action": [flat_action(s.requested, s.requested_width) for s in steps],
+            "requested_action": [s.requested.flat() for s in steps],
             "projected_action": [
-                flat_action(self._kinematics.forward(s.reference.q), s.reference.width) for s in steps
+                HandTarget(self._kinematics.forward(s.reference.joints.q), s.reference.width).flat() for s in steps
             ],
-            "joint_reference": [s.reference.q for s in steps],
-            "joint_velocity_reference": [s.reference.dq for s in steps],
+            "joint_reference": [s.reference.joints.q for s in steps],
+            "joint_velocity_reference": [s.reference.joints.dq for s in steps],
             "width_reference": [s.reference.width for s in steps],
             "reward": [0.0] * (len(steps) - 1) + [final_reward],
         }
@@ -57,7 +56,7 @@ class Recorder:
             columns |= {
                 "phase": np.array([a.phase for a in planned], dtype=np.int16),
                 "gate": [a.gate for a in planned],
-                "planner_action": [flat_action(a.target, a.width) for a in planned],
+                "planner_action": [a.target.flat() for a in planned],
             }
         return {name: np.asarray(column) for name, column in columns.items()}
 
@@ -81,8 +80,3 @@ def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
         bodies = [s.objects[name].columns for s in states]
         columns |= {f"{kind}/{name}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
     return columns
-
-
-def flat_action(target: Pose, width: float) -> Array:
-    """Lay a target out flat: position (m), quaternion (w, x, y, z), gripper width (m); shape (8,)."""
-    return np.concatenate((target.position, target.quat_wxyz, (width,)))

@@ -12,8 +12,6 @@ from dynaforge.generators.recording import Recorder
 from dynaforge.geometry import Array
 from dynaforge.tasks import Outcome, Task
 
-ROUNDING = 1.0 + 1e-9  # of a residual that lies on its bound
-
 
 class Repeater:
     """Makes recorded attempts at one task again; use it for many.
@@ -65,7 +63,8 @@ class Repeater:
             if not executor.action.gate:
                 held, left = None, 0
             elif left == 0:
-                held, left = self._possible(recorded), self._env.task.residual.decision_steps
+                held = self._env.residual_scale.nearest_possible(recorded, executor)
+                left = self._env.task.residual.decision_steps
             state = world.execute(executor.action, held)
             executor.advance(state, world.reference)
             left = max(left - 1, 0)
@@ -76,14 +75,3 @@ class Repeater:
             failure="it goes on after its last recorded step",
             phase=executor.phase.name,
         )
-
-    def _possible(self, residual: Array) -> Array:
-        """Return what of a residual, shape (7,), in physical units, lies within the scales that it has now."""
-        bound = self._env.executor.phase.residual_share * np.array(self._env.task.residual.scales)
-        turn = np.eye(7)
-        if self._env.residual_frame == "target":
-            turn[:3, :3] = turn[3:6, 3:6] = self._env.executor.frame.rotation
-        local = turn.T @ residual
-        if (np.abs(local) <= bound * ROUNDING + 1e-12).all():
-            return residual
-        return np.asarray(turn @ local.clip(-bound, bound))

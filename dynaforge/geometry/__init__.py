@@ -1,4 +1,4 @@
-"""Poses, rotations and joint trajectories: pure numpy."""
+"""Poses, rotations, joint states and trajectories: pure numpy."""
 
 from dynaforge.geometry.one_line import one_line
 from dynaforge.geometry.pose import (
@@ -12,10 +12,11 @@ from dynaforge.geometry.pose import (
     rotation_z,
     rotvec_from_matrix,
 )
-from dynaforge.geometry.trajectory import JointTrajectory
+from dynaforge.geometry.trajectory import JointState, JointTrajectory
 
 __all__ = [
     "Array",
+    "JointState",
     "JointTrajectory",
     "Pose",
     "matrix_from_quat",

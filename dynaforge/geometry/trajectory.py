@@ -1,11 +1,35 @@
-"""Joint trajectories sampled at the control rate."""
+"""Joint states, and trajectories of them sampled at the control rate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from dynaforge.geometry.one_line import one_line
 from dynaforge.geometry.pose import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointState:
+    """Where the joints of the arm are and how they move.
+
+    Attributes:
+        q: Positions, radians, shape (7,).
+        dq: Velocities, rad/s, shape (7,).
+        ddq: Accelerations, rad/s^2, shape (7,).
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+
+    __repr__ = one_line
+
+    @staticmethod
+    def at_rest(q: Array) -> JointState:
+        """Return the state of an arm that stands still at joint positions q, radians, shape (7,)."""
+        return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +52,10 @@ class JointTrajectory:
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def __getitem__(self, k: int) -> JointState:
+        """Return sample k; negative indices count from the end."""
+        return JointState(self.q[k], self.dq[k], self.ddq[k])
 
     @property
     def duration(self) -> float:

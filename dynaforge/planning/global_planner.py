@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import ruckig
 
-from dynaforge.geometry import Array, JointTrajectory, Pose
+from dynaforge.geometry import Array, JointState, JointTrajectory, Pose
 from dynaforge.planning.collision import CollisionModel
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.planning.rrt import rrt_connect, shortcut
@@ -65,7 +65,7 @@ class GlobalPlanner:
         self._brake_input.max_acceleration = robot.ddq_max.tolist()
         self._brake_input.max_jerk = robot.dddq_max.tolist()
 
-    def plan(self, q: Array, dq: Array, ddq: Array, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+    def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
         """Plan a trajectory that starts at a joint state and ends at rest at an end-effector pose.
 
         A moving arm first brakes. The goal configuration is the inverse kinematics solution found from where the arm
@@ -73,7 +73,7 @@ class GlobalPlanner:
         RRT-Connect. A start in shallow collision (a hand that grazes the table) is left by the shortest way.
 
         Args:
-            q, dq, ddq: Joint state to start from: rad, rad/s, rad/s^2, shape (7,) each.
+            start: Joint state to start from, moving or at rest.
             target: Wanted `T_world_ee`.
             rng: Draws the random seeds of the inverse kinematics and of RRT-Connect.
 
@@ -84,13 +84,10 @@ class GlobalPlanner:
             PlanFailure: There is none; its reason says why.
             ValueError: A value is not finite.
         """
-        given = {"q": q, "dq": dq, "ddq": ddq, "target position": target.position, "target rotation": target.rotation}
-        for name, value in given.items():
-            if not np.isfinite(value).all():
-                raise ValueError(f"Cannot plan: {name} is {value.tolist()}; it must be finite.")
-        parts = []
-        if max(np.abs(dq).max(), np.abs(ddq).max()) > AT_REST:
-            parts.append(self._brake(q, dq, ddq))
+        _require_finite(start, target)
+        parts, q = [], start.q
+        if max(np.abs(start.dq).max(), np.abs(start.ddq).max()) > AT_REST:
+            parts.append(self._brake(start))
             q = parts[0].q[-1]
         goal = self._goal(target, q, rng)
         if self.collision.in_collision(q) and not self._leaves_collision(q, goal):
@@ -100,16 +97,16 @@ class GlobalPlanner:
         parts += self._move(q, goal, rng)
         return join(parts)
 
-    def _brake(self, q: Array, dq: Array, ddq: Array) -> JointTrajectory:
+    def _brake(self, start: JointState) -> JointTrajectory:
         """Come to rest as fast as acceleration and jerk limits allow."""
         given, trajectory = self._brake_input, ruckig.Trajectory(7)
-        given.current_position, given.current_velocity = q.tolist(), dq.tolist()
-        given.current_acceleration = ddq.tolist()
+        dq, ddq = start.dq.tolist(), start.ddq.tolist()
+        given.current_position, given.current_velocity, given.current_acceleration = start.q.tolist(), dq, ddq
         given.target_velocity = given.target_acceleration = [0.0] * 7
         try:
             self._brake_solver.calculate(given, trajectory)
         except ruckig.RuckigError as error:
-            raise PlanFailure("timing failed", f"no brake from dq {dq.tolist()}, ddq {ddq.tolist()}.") from error
+            raise PlanFailure("timing failed", f"no brake from dq {dq}, ddq {ddq}.") from error
         n = max(1, math.ceil(trajectory.duration / self.dt - 1e-9))
         samples = np.array([trajectory.at_time(k * self.dt) for k in range(n + 1)])  # (n + 1, 3, 7)
         samples[-1, 1:] = 0.0
@@ -184,3 +181,16 @@ class GlobalPlanner:
         if trajectory is None:
             raise PlanFailure("timing failed", "TOPP-RA found no timing of a straight edge inside the limits.")
         return trajectory
+
+
+def _require_finite(start: JointState, target: Pose) -> None:
+    given = {
+        "q": start.q,
+        "dq": start.dq,
+        "ddq": start.ddq,
+        "target position": target.position,
+        "target rotation": target.rotation,
+    }
+    for name, value in given.items():
+        if not np.isfinite(value).all():
+            raise ValueError(f"Cannot plan: {name} is {value.tolist()}; it must be finite.")

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
-from dynaforge.geometry import Array, Pose, one_line
+from dynaforge.geometry import Array, JointState, Pose, one_line
 from dynaforge.planning.kinematics import ArmKinematics
+from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
 ARRIVED = 1e-10  # rad, rad/s, rad/s^2
@@ -20,16 +21,12 @@ class JointReference:
     """What the joint controller is asked for, due at the end of a control step.
 
     Attributes:
-        q: Joint positions, radians, shape (7,).
-        dq: Joint velocities, rad/s, shape (7,).
-        ddq: Joint accelerations, rad/s^2, shape (7,).
+        joints: State of the arm.
         width: Opening between the fingers, metres.
         width_speed: Its rate over the control step, m/s.
     """
 
-    q: Array
-    dq: Array
-    ddq: Array
+    joints: JointState
     width: float
     width_speed: float
 
@@ -69,7 +66,7 @@ class LocalPlanner:
     @property
     def projected(self) -> Pose:
         """`T_world_ee` of the reference: what the limits left of the last target."""
-        return self.kinematics.forward(self._reference.q)
+        return self.kinematics.forward(self._reference.joints.q)
 
     def reset(self, q: Array, width: float) -> JointReference:
         """Put the reference at rest at joint positions q (rad, shape (7,)) and an opening (m).
@@ -79,21 +76,20 @@ class LocalPlanner:
         """
         require_finite("q", q)
         require_finite("width", float(width))
-        self._load(q, np.zeros(7), np.zeros(7))
-        self._reference = JointReference(q.copy(), np.zeros(7), np.zeros(7), float(width), 0.0)
+        joints = JointState.at_rest(q.copy())
+        self._load(joints)
+        self._reference = JointReference(joints, float(width), 0.0)
         return self._reference
 
-    def track(self, target: Pose, width: float) -> JointReference:
-        """Move one control step toward an end-effector target.
+    def track(self, target: HandTarget) -> JointReference:
+        """Move one control step toward a target of the hand.
 
-        Args:
-            target: Wanted `T_world_ee`. Out of reach, the nearest configuration that the solver meets is used.
-            width: Wanted opening, metres.
+        Where its pose is out of reach, the nearest configuration that the solver meets is used.
 
         Raises:
             ValueError: A value is not finite.
         """
-        return self._advance(self.kinematics.solve(target, self._reference.q).q, width)
+        return self._advance(self.kinematics.solve(target.pose, self._reference.joints.q).q, target.width)
 
     def to_joints(self, q_target: Array, width: float) -> JointReference:
         """Move one control step toward joint targets (rad, shape (7,), clamped to the limits) and an opening (m).
@@ -104,41 +100,41 @@ class LocalPlanner:
         require_finite("q_target", q_target)
         return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
 
-    def follow(self, q: Array, dq: Array, ddq: Array, width: float) -> JointReference:
-        """Take a sample of a planned trajectory as it is; only the opening (m) is ramped.
+    def follow(self, sample: JointState, width: float) -> JointReference:
+        """Take a sample of a planned trajectory as it is; only the opening is ramped.
 
         Args:
-            q, dq, ddq: The sample due at the end of this control step: rad, rad/s, rad/s^2, shape (7,) each.
+            sample: The state due at the end of this control step.
             width: Wanted opening, metres.
 
         Raises:
             ValueError: A value is not finite.
         """
-        require_finite("q", q)
-        require_finite("dq", dq)
-        require_finite("ddq", ddq)
+        require_finite("q", sample.q)
+        require_finite("dq", sample.dq)
+        require_finite("ddq", sample.ddq)
         width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
-        self._load(q, dq, ddq)
-        self._reference = JointReference(q, dq, ddq, width, width_speed)
+        self._load(sample)
+        self._reference = JointReference(sample, width, width_speed)
         return self._reference
 
     def _advance(self, q_goal: Array, width: float) -> JointReference:
         width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
         if self._has_arrived(q_goal):
-            q, dq, ddq = q_goal, np.zeros(7), np.zeros(7)
-            self._load(q, dq, ddq)
+            joints = JointState.at_rest(q_goal)
+            self._load(joints)
         else:
-            q, dq, ddq = self._next(q_goal)
-        self._reference = JointReference(q, dq, ddq, width, width_speed)
+            joints = self._next(q_goal)
+        self._reference = JointReference(joints, width, width_speed)
         return self._reference
 
     def _has_arrived(self, q_goal: Array) -> bool:
         """Tell whether nothing is left but rounding, of which Ruckig now and then makes NaN."""
-        now = self._reference
+        now = self._reference.joints
         return all(np.abs(left).max() < ARRIVED for left in (now.dq, now.ddq, q_goal - now.q))
 
-    def _next(self, q_goal: Array) -> Array:
-        """Return position, velocity and acceleration a control step nearer to the goal, shape (3, 7)."""
+    def _next(self, q_goal: Array) -> JointState:
+        """Return the state one control step nearer to the goal."""
         self._input.target_position = q_goal.tolist()
         output = self._output
         try:
@@ -149,13 +145,14 @@ class LocalPlanner:
             self._solver.update(self._input, output)
             self._input.synchronization = ruckig.Synchronization.Time
         output.pass_to_input(self._input)
-        return np.array((output.new_position, output.new_velocity, output.new_acceleration))
+        return JointState(*np.array((output.new_position, output.new_velocity, output.new_acceleration)))
 
-    def _load(self, q: Array, dq: Array, ddq: Array) -> None:
+    def _load(self, joints: JointState) -> None:
         """Hand Ruckig a state; forget its running trajectory, so that nothing depends on what came before."""
         self._solver.reset()
-        self._input.current_position, self._input.current_velocity = q.tolist(), dq.tolist()
-        self._input.current_acceleration = ddq.tolist()
+        self._input.current_position = joints.q.tolist()
+        self._input.current_velocity = joints.dq.tolist()
+        self._input.current_acceleration = joints.ddq.tolist()
 
 
 def ramp_width(before: float, wanted: float, robot: RobotDescription, dt: float) -> tuple[float, float]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, JointState, Pose
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.planning.local_planner import JointReference, ramp_width, require_finite
+from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
 SLACK = 1e-3  # share of the limits left to rounding: targets arrive as float32, inverse kinematics ends at 1e-6
@@ -50,17 +51,16 @@ class TargetFollower:
         """
         require_finite("q", q)
         require_finite("width", float(width))
-        zero = np.zeros(7)
-        self._reference = JointReference(q.copy(), zero, zero, float(width), 0.0)
-        self._target, self._target_moved, self._target_velocity = self._reference.q, zero, zero
+        joints = JointState.at_rest(q.copy())
+        self._reference = JointReference(joints, float(width), 0.0)
+        self._target, self._target_moved, self._target_velocity = joints.q, joints.dq, joints.dq
         return self._reference
 
-    def reach(self, target: Pose, width: float, *, elbow: float | None = None) -> JointReference:
-        """Move to an end-effector target, or as near to it as the limits allow in one control step.
+    def reach(self, target: HandTarget, *, elbow: float | None = None) -> JointReference:
+        """Move to a target of the hand, or as near to it as the limits allow in one control step.
 
         Args:
-            target: Wanted `T_world_ee`. Out of reach, the nearest configuration that the solver meets is used.
-            width: Wanted opening, metres.
+            target: Where its pose is out of reach, the nearest configuration that the solver meets is used.
             elbow: Wanted angle of the third joint, radians; a pose alone leaves one of seven joints open.
 
         Raises:
@@ -68,7 +68,7 @@ class TargetFollower:
         """
         if elbow is not None:
             require_finite("elbow", float(elbow))
-        return self._advance(self._solve(target, elbow), width)
+        return self._advance(self._solve(target.pose, elbow), target.width)
 
     def reach_joints(self, q_target: Array, width: float) -> JointReference:
         """Move to joint targets (rad, shape (7,), clamped to the limits) and an opening (m), as near as is allowed.
@@ -86,15 +86,17 @@ class TargetFollower:
                 rotation_tolerance=TOLERANCE,
             ).q  # fmt: skip
         # Two configurations can share pose and elbow, and meet where q[ELBOW] turns back: the motion goes on through.
-        ahead = self._reference.q + self._reference.dq * self.dt
+        joints = self._reference.joints
+        ahead = joints.q + joints.dq * self.dt
         return self.kinematics.solve_at_elbow(target, elbow, ahead, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
 
     def _advance(self, target: Array, width: float) -> JointReference:
-        before = self._reference
-        width, width_speed = ramp_width(before.width, width, self.robot, self.dt)
+        before = self._reference.joints
+        width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
         self._follow(target)
         q, dq = self._next(before.q, before.dq)
-        self._reference = JointReference(q, dq, (dq - before.dq) / self.dt, width, width_speed)
+        joints = JointState(q, dq, (dq - before.dq) / self.dt)
+        self._reference = JointReference(joints, width, width_speed)
         return self._reference
 
     def _follow(self, target: Array) -> None:

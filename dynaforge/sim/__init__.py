@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from dynaforge.sim.condition import Condition
+from dynaforge.sim.hand_target import HandTarget
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.spec import BodySpec, Drive, FixtureSpec, Launch, Placement, SceneSpec, Spring
 from dynaforge.sim.state import BodyState, SceneState
@@ -16,6 +17,7 @@ __all__ = [
     "Condition",
     "Drive",
     "FixtureSpec",
+    "HandTarget",
     "Launch",
     "Placement",
     "RobotDescription",

@@ -11,13 +11,15 @@ from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
 from dynaforge.sim.checks import shown
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.outcome import Outcome
-from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
+from dynaforge.tasks.task import FRAMES, Frame, Mode, Phase, ResidualSpec, Task
 from dynaforge.tasks.task_file import task_of_file
 
 __all__ = [
+    "FRAMES",
     "STREAMS",
     "TASK_NAMES",
     "ConditionSpace",
+    "Frame",
     "Mode",
     "Outcome",
     "Phase",

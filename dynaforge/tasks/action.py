@@ -22,6 +22,7 @@ from dynaforge.geometry import (
     rotation_6d_from_matrix,
     rotvec_from_matrix,
 )
+from dynaforge.sim import HandTarget
 from dynaforge.sim.checks import check_flag, shown
 from dynaforge.sim.robot import ELBOW
 from dynaforge.tasks.targets import DOWN_ALONG_X
@@ -98,20 +99,13 @@ class ActionLayout:
         # Rounded away from zero: joint positions at a limit are still inside as float32.
         return _outward(low, -np.inf), _outward(high, np.inf)
 
-    def pose(self, action: Array) -> Pose:
-        """Return the wanted `T_world_ee` of an "ee" action.
+    def hand_target(self, action: Array) -> HandTarget:
+        """Return what an "ee" action asks of the hand.
 
         Raises:
             ValueError: Its numbers mean no rotation.
         """
-        numbers = action[3 : 3 + len(ROTATIONS[self.rotation])]
-        if self.rotation == "rotvec":
-            return Pose(matrix_from_rotvec(numbers) @ DOWN_ALONG_X, action[:3])
-        if self.rotation == "rotation_6d":
-            return Pose(matrix_from_rotation_6d(numbers), action[:3])
-        if not np.abs(numbers).max() > 1e-6:
-            raise ValueError(f"A quaternion needs a length to mean a rotation; given {numbers.tolist()}.")
-        return Pose(matrix_from_quat(numbers), action[:3])
+        return HandTarget(Pose(self._matrix(action), action[:3]), self.width(action))
 
     def width(self, action: Array) -> float:
         """Return the wanted gripper width, metres."""
@@ -134,6 +128,17 @@ class ActionLayout:
         if self.elbow:
             parts.append(steps["joint_reference"][:, ELBOW])
         return np.column_stack(parts)
+
+    def _matrix(self, action: Array) -> Array:
+        numbers = action[3 : 3 + len(ROTATIONS[self.rotation])]
+        if self.rotation == "rotvec":
+            turned: Array = matrix_from_rotvec(numbers) @ DOWN_ALONG_X
+            return turned
+        if self.rotation == "rotation_6d":
+            return matrix_from_rotation_6d(numbers)
+        if not np.abs(numbers).max() > 1e-6:
+            raise ValueError(f"A quaternion needs a length to mean a rotation; given {numbers.tolist()}.")
+        return matrix_from_quat(numbers)
 
     def _rotations(self, quats: Array) -> Array:
         if self.rotation == "quat_wxyz":

@@ -86,8 +86,8 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, DownstreamArc("bottle", 0.085, REACH, 0.08, TURN), width=0.08,
-            done=All((Reached(0.03), Near("bottle", 0.30))), timeout=3.0, failure="not reached",
+            "pregrasp", Mode.GLOBAL, DownstreamArc("bottle", 0.085, reach=REACH, clearance=0.08, radius=TURN),
+            width=0.08, done=All((Reached(0.03), Near("bottle", 0.30))), timeout=3.0, failure="not reached",
         ),
         # No stricter than the descent: on a curve a tight bound held for two steps turns good grasps away.
         Phase(

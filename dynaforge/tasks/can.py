@@ -68,7 +68,7 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Downstream("can", 0.085, REACH, 0.08), width=0.08,
+            "pregrasp", Mode.GLOBAL, Downstream("can", 0.085, reach=REACH, clearance=0.08), width=0.08,
             done=All((Reached(0.03), Near("can", 0.30))), timeout=3.0, failure="not reached",
         ),
         Phase(

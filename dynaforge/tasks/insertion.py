@@ -64,7 +64,7 @@ def into(
         inside: The object is where it belongs.
         fails: How it may be lost from the hand on the way.
     """  # fmt: skip
-    hover, low, lowest = (Over(hole, held, height, tip, upright=True) for height in heights)
+    hover, low, lowest = (Over(hole, held, height, tool=tip, upright=True) for height in heights)
     return (
         Phase(
             "carry", Mode.GLOBAL, hover, width=0.0, takes_hold=True,
@@ -72,7 +72,7 @@ def into(
         ),
         Phase(
             "align", Mode.IK, hover, width=0.0, gate=True, takes_hold=True,
-            done=Within(held, hole, precision, heights[0] + precision, tip), hold=1 / 15, timeout=1.5,
+            done=Within(held, hole, precision, heights[0] + precision, tool=tip), hold=1 / 15, timeout=1.5,
             failure=f"lost {hole}", fails=fails,
         ),
         Phase(

@@ -107,7 +107,7 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Downstream("peach", 0.06, REACH, 0.08), width=0.08,
+            "pregrasp", Mode.GLOBAL, Downstream("peach", 0.06, reach=REACH, clearance=0.08), width=0.08,
             done=All((Reached(0.03), Near("peach", 0.30))), timeout=3.0, failure="not reached",
         ),
         Phase(

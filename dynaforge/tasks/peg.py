@@ -76,7 +76,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 
 # The wall keeps the lower end of a peg so deep inside the hole; a peg that lies below the hole is not upright.
-INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, TIP), Upright("peg", 0.3)))
+INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, tool=TIP), Upright("peg", 0.3)))
 IN_HAND = (("slipped", Not(Around("peg", GRIP + 0.02))), ("slipped", Not(Upright("peg", 0.5))))
 HOVER, ENTERED, INSERTED = DEPTH + 0.010, DEPTH - 0.010, 0.25 * DEPTH  # of the lower end above the hole's floor, metres
 
@@ -102,7 +102,7 @@ TASK = Task(
         *from_rack("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
         *into(
             "peg", "hole", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.008,
-            entered=Within("peg", "hole", 0.006, DEPTH - 0.005, TIP), inside=INSIDE, fails=IN_HAND,
+            entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP), inside=INSIDE, fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("peg")), ("dropped", OnTable("peg"))),

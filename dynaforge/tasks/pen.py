@@ -80,7 +80,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 
 # The wall keeps a tip so deep inside the holder; a pen that lies below the holder is not upright.
-INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, TIP), Upright("pen", 0.5)))
+INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, tool=TIP), Upright("pen", 0.5)))
 IN_HAND = (
     ("slipped", Not(Around("pen", GRIP + 0.02))),
     ("slipped", Not(Upright("pen", 0.5))),
@@ -110,7 +110,7 @@ TASK = Task(
         *from_rack("pen", grip=GRIP, precision=0.006, lift=0.12, clear=0.10),
         *into(
             "pen", "holder", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.012,
-            entered=Within("pen", "holder", 0.02, DEPTH - 0.01, TIP), inside=INSIDE, fails=IN_HAND,
+            entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP), inside=INSIDE, fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("pen")), ("dropped", OnTable("pen"))),

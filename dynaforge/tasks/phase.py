@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -44,6 +44,7 @@ class Phase:
     name: str
     mode: Mode
     target: Target
+    _: KW_ONLY
     width: float
     done: Predicate
     timeout: float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Protocol
 
 import numpy as np
@@ -202,6 +202,7 @@ class Within:
     object: ObjectName
     distance: Size
     height: float
+    _: KW_ONLY
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:

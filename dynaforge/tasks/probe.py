@@ -97,4 +97,4 @@ def _views(task: Task, starts: Mapping[str, Launch | Placement]) -> Iterator[Pha
             pressed={fixture.name: 0.0 for fixture in task.scene.fixtures if fixture.spring},
         )
         frames = heading_frames(state, None)
-        yield PhaseView(state, state, state, frames, frames, grasp=state)
+        yield PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames, grasp=state)

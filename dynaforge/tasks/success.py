@@ -44,10 +44,10 @@ class SuccessJudge:
         self._place = f"Phase {self._last.name!r}"
         self._hold = Hold(self._last, control_dt=task.scene.control_dt)
         frames = heading_frames(start, None)
-        self.view = PhaseView(start, start, start, frames, frames)
+        self.view = PhaseView(state=start, entry=start, start=start, frames=frames, entry_frames=frames)
 
     def push(self, state: SceneState) -> bool:
         """Take in the scene after a control step; return whether success has been true for long enough."""
         frames, start = heading_frames(state, self.view.frames), self.view.start
-        self.view = PhaseView(state, start, start, frames, frames)
+        self.view = PhaseView(state=state, entry=start, start=start, frames=frames, entry_frames=frames)
         return self._hold.push(judge(self._place, "done", self._last.done, self.view, state.ee))

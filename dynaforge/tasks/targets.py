@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Protocol
 
@@ -112,6 +112,7 @@ class Downstream:
     reach: Size
     clearance: float
     grip: Grip = Grip.ALONG
+    _: KW_ONLY
     live: bool = False
 
     def __call__(self, view: PhaseView) -> Pose:
@@ -138,6 +139,7 @@ class DownstreamArc:
 
     object: ObjectName
     height: float
+    _: KW_ONLY
     reach: Size
     clearance: float
     radius: Size
@@ -167,6 +169,7 @@ class Catching:
 
     object: ObjectName
     fixture: ObjectName
+    _: KW_ONLY
     ahead: float
     height: float
     pitch: float
@@ -195,6 +198,7 @@ class Over:
     object: ObjectName
     held: ObjectName
     height: float
+    _: KW_ONLY
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     upright: bool = False
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from typing import Literal, get_args
 
 from dynaforge.sim.checks import (
     check_choice,
@@ -25,13 +26,14 @@ from dynaforge.tasks.predicates import RobotStopped
 from dynaforge.tasks.probe import probe
 from dynaforge.tasks.words import check_word, unknown
 
-__all__ = ["Mode", "Phase", "ResidualSpec", "Task"]
+__all__ = ["FRAMES", "Frame", "Mode", "Phase", "ResidualSpec", "Task"]
 
 _ENV_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-FRAMES = ("target", "world")
+Frame = Literal["target", "world"]
+FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualSpec:
     """How a residual action in [-1, 1] becomes a change of the planned target, Eq. 5.
 
@@ -46,7 +48,7 @@ class ResidualSpec:
     translation: tuple[float, float, float] = (0.06, 0.06, 0.06)
     rotation: tuple[float, float, float] = (0.15, 0.15, 0.15)
     width: float = 0.02
-    frame: str = "target"
+    frame: Frame = "target"
     decision_steps: int = 3
 
     def __post_init__(self) -> None:
@@ -64,7 +66,7 @@ class ResidualSpec:
         return (*self.translation, *self.rotation, self.width)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """A dynamic manipulation task: the whole of what is specific to it.
 

@@ -72,8 +72,8 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Downstream("toycar", HOVER, REACH, 0.08, Grip.ACROSS), width=OPEN,
-            done=All((Reached(0.03), Near("toycar", 0.30))), timeout=3.0, failure="not reached",
+            "pregrasp", Mode.GLOBAL, Downstream("toycar", HOVER, reach=REACH, clearance=0.08, grip=Grip.ACROSS),
+            width=OPEN, done=All((Reached(0.03), Near("toycar", 0.30))), timeout=3.0, failure="not reached",
         ),
         # The fingers have 8 mm to spare on each side; 42 mm from the car's middle the whole pad is still on its body.
         # One finger at its side cannot push it along its way, so the hand follows until both hold it.

@@ -12,7 +12,7 @@ from dynaforge.sim import SceneState
 HEADING_SPEED = 0.02  # m/s: below it a heading keeps its last direction
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PhaseView:
     """The scene at one control step, as the running phase sees it.
 

@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.residual_env import GateMode, ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
@@ -35,7 +35,7 @@ def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores:
     """
     if cores == 1:
         return DummyVecEnv([partial(ResidualEnv, task)] * n_envs)
-    gate_mode = "mask" if ALGORITHMS[algo] is FrontierGRPO else "skip"
+    gate_mode: GateMode = "mask" if ALGORITHMS[algo] is FrontierGRPO else "skip"
     return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode=gate_mode)] * n_envs, n_workers=2 * cores)
 
 

@@ -24,6 +24,7 @@ from dynaforge.benchmarks.episodes import (
 from dynaforge.benchmarks.figure import Figure
 from dynaforge.cli import bench
 from dynaforge.cli.main import main
+from dynaforge.envs.residual import ResidualScale
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import World
 from dynaforge.geometry import JointTrajectory, Pose
@@ -156,11 +157,8 @@ def test_every_row_is_measured_on_every_task(name, monkeypatch):
 
 
 def test_a_residual_of_a_nanometre_is_seen(monkeypatch):
-    class Drifting(ResidualEnv):
-        def _physical_residual(self):
-            return super()._physical_residual() + 1e-9
-
-    monkeypatch.setattr(bench_determinism, "ResidualEnv", Drifting)
+    exact = ResidualScale.physical
+    monkeypatch.setattr(ResidualScale, "physical", lambda *given: exact(*given) + 1e-9)
     (figure,) = bench_determinism.zero_residual(CAN, n=1)
     assert not figure.ok
     assert figure.measured.startswith("0 of 1")

@@ -10,7 +10,7 @@ from trajectory_hash import TrajectoryHash, condition
 
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.geometry import Array, JointTrajectory, Pose
+from dynaforge.geometry import JointState, JointTrajectory, Pose
 from dynaforge.planning import JointReference, PlanFailure
 from dynaforge.sim import BodyState, SceneState
 from dynaforge.tasks import Mode, Outcome, Phase, Task, get_task
@@ -20,7 +20,7 @@ from dynaforge.tasks.targets import DOWN_ALONG_X, Above
 CAN = get_task("can")
 DT = CAN.scene.control_dt
 CONDITION = condition(3)
-REFERENCE = JointReference(np.zeros(7), np.full(7, 0.1), np.full(7, 0.2), 0.08, 0.0)
+REFERENCE = JointReference(JointState(np.zeros(7), np.full(7, 0.1), np.full(7, 0.2)), 0.08, 0.0)
 
 
 def scene(x: float = 0.5, z: float = 0.033, *, touching: tuple[bool, bool] = (False, False), vx: float = 0.0):
@@ -47,10 +47,10 @@ class FakePlanner:
     """Counts its calls and answers with a motion of three samples, or fails."""
 
     fails: bool = False
-    calls: list[tuple[Array, Array, Array, Pose, float]] = field(default_factory=list)
+    calls: list[tuple[JointState, Pose, float]] = field(default_factory=list)
 
-    def plan(self, q: Array, dq: Array, ddq: Array, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
-        self.calls.append((q, dq, ddq, target, float(rng.random())))
+    def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+        self.calls.append((start, target, float(rng.random())))
         if self.fails:
             raise PlanFailure("unreachable", "nowhere near")
         rows = np.arange(3.0)[:, None] * np.ones(7)
@@ -58,7 +58,10 @@ class FakePlanner:
 
 
 def phase(name: str, done, mode: Mode = Mode.IK, *, hold: float = 0.0, timeout: float = 1.0, **more) -> Phase:
-    return Phase(name, mode, Above("can", 0.0), 0.08, done, timeout, f"{name} took too long", hold=hold, **more)
+    return Phase(
+        name, mode, Above("can", 0.0), width=0.08, done=done, timeout=timeout, failure=f"{name} took too long",
+        hold=hold, **more,
+    )  # fmt: skip
 
 
 def program(*phases: Phase) -> Task:
@@ -179,11 +182,10 @@ def test_a_global_phase_plans_once_from_where_the_command_stands() -> None:
     executor = start(program(phase("touch", Touched("can"), Mode.GLOBAL)), planner)
     for x in (0.51, 0.52, 0.53, 0.54):
         executor.advance(scene(x), REFERENCE)
-    (q, dq, ddq, target, _) = planner.calls[0]
-    assert len(planner.calls) == 1
-    assert (q is REFERENCE.q, dq is REFERENCE.dq, ddq is REFERENCE.ddq) == (True, True, True)
+    ((start_of_plan, target, _),) = planner.calls
+    assert start_of_plan is REFERENCE.joints
     assert target.position[0] == 0.5  # the object's place at entry
-    assert executor.action.target is target
+    assert executor.action.target.pose is target
 
 
 def test_a_global_phase_follows_the_samples_in_turn_and_stays_at_the_last() -> None:
@@ -214,7 +216,7 @@ def test_an_ik_phase_never_plans_globally_and_follows_the_object() -> None:
     executor = start(program(phase("touch", Touched("can"))), planner)
     for x in (0.51, 0.52):
         executor.advance(scene(x), REFERENCE)
-        assert executor.action.target.position[0] == x
+        assert executor.action.target.pose.position[0] == x
         assert executor.action.sample is None
     assert planner.calls == []
 
@@ -228,32 +230,32 @@ def test_the_target_freezes_when_a_finger_touches() -> None:
     assert executor.frozen
     for x in (0.53, 0.54):
         executor.advance(scene(x), REFERENCE)  # pushed away, no longer touched: still no chase
-        assert executor.action.target.position[0] == 0.52
+        assert executor.action.target.pose.position[0] == 0.52
     executor.advance(scene(0.55, touching=(True, True)), REFERENCE)
     assert executor.phase.name == "lift"
     assert not executor.frozen
-    assert executor.action.target.position[0] == 0.55
+    assert executor.action.target.pose.position[0] == 0.55
 
 
 def test_without_track_until_the_target_never_freezes() -> None:
     executor = start(program(phase("grasp", Grasped("can"))))
     executor.advance(scene(0.52, touching=(False, True)), REFERENCE)
     executor.advance(scene(0.53), REFERENCE)
-    assert executor.action.target.position[0] == 0.53
+    assert executor.action.target.pose.position[0] == 0.53
 
 
 def test_lead_time_shifts_the_target_by_velocity_times_lead() -> None:
     executor = start(program(phase("touch", Touched("can"))), lead_time=0.1)
     executor.advance(scene(0.5, vx=0.7), REFERENCE)
-    assert executor.action.target.position[0] == pytest.approx(0.57)
+    assert executor.action.target.pose.position[0] == pytest.approx(0.57)
 
 
 def test_the_gate_and_the_width_are_those_of_the_running_phase() -> None:
     task = program(phase("touch", Touched("can"), gate=True), replace(phase("lift", Lifted("can", 0.1)), width=0.0))
     executor = start(task)
-    assert (executor.action.gate, executor.action.width, executor.action.phase) == (True, 0.08, 0)
+    assert (executor.action.gate, executor.action.target.width, executor.action.phase) == (True, 0.08, 0)
     executor.advance(GRASPED, REFERENCE)
-    assert (executor.action.gate, executor.action.width, executor.action.phase) == (False, 0.0, 1)
+    assert (executor.action.gate, executor.action.target.width, executor.action.phase) == (False, 0.0, 1)
 
 
 def test_a_reset_forgets_the_episode_before() -> None:

@@ -99,7 +99,7 @@ def test_the_residual_drops_to_zero_the_moment_the_gate_closes(mode: str, reques
     assert {step.planned.phase for step in steps} == set(range(5))
     for step in steps:
         assert step.residual.any() == step.planned.gate
-        moved = not np.array_equal(step.requested.position, step.planned.target.position)
+        moved = not np.array_equal(step.requested.pose.position, step.planned.target.pose.position)
         assert moved == step.planned.gate
 
 
@@ -137,7 +137,7 @@ def test_the_residual_is_scaled_and_turned_into_the_frame_of_the_object(skip: Tr
     skip.step(np.array((1, 0, 0, 0, 0), np.float32))
     first = skip.trace.steps[-TASK.residual.decision_steps]
     np.testing.assert_allclose(first.residual[:3], TASK.residual.translation[0] * heading, atol=1e-12)
-    offset = first.requested.position - first.planned.target.position
+    offset = first.requested.pose.position - first.planned.target.pose.position
     np.testing.assert_allclose(offset, first.residual[:3], atol=1e-12)
 
 
@@ -145,9 +145,9 @@ def test_the_width_residual_changes_the_width_alone(skip: Traced) -> None:
     skip.reset(options={"condition": condition(4)})
     skip.step(np.array((0, 0, 0, 0, -1), np.float32))
     step = skip.trace.steps[-1]
-    np.testing.assert_array_equal(step.requested.position, step.planned.target.position)
-    np.testing.assert_array_equal(step.requested.rotation, step.planned.target.rotation)
-    assert step.requested_width == pytest.approx(step.planned.width - TASK.residual.width)
+    np.testing.assert_array_equal(step.requested.pose.position, step.planned.target.pose.position)
+    np.testing.assert_array_equal(step.requested.pose.rotation, step.planned.target.pose.rotation)
+    assert step.requested.width == pytest.approx(step.planned.target.width - TASK.residual.width)
 
 
 def test_the_world_frame_is_a_named_choice() -> None:

@@ -45,7 +45,7 @@ def play(env: TaskEnv, actions: list[np.ndarray]):
 
 def test_joint_references_of_a_success_succeed_again(recorded) -> None:
     env = TaskEnv("can", action_mode="joint")
-    actions = [np.float32((*step.reference.q, step.reference.width)) for step in recorded]
+    actions = [np.float32((*step.reference.joints.q, step.reference.width)) for step in recorded]
     steps, _, reward, info = play(env, [*actions, *[actions[-1]] * 10])
     assert reward == 1.0
     assert info == {
@@ -61,10 +61,8 @@ def test_joint_references_of_a_success_succeed_again(recorded) -> None:
 def test_end_effector_targets_of_a_success_succeed_again(recorded) -> None:
     env = TaskEnv("can", action_mode="ee")
     actions = [
-        np.float32(
-            (*s.requested.position, *rotvec_from_matrix(s.requested.rotation @ DOWN_ALONG_X.T), s.requested_width)
-        )
-        for s in recorded
+        np.float32((*wanted.pose.position, *rotvec_from_matrix(wanted.pose.rotation @ DOWN_ALONG_X.T), wanted.width))
+        for wanted in (step.requested for step in recorded)
     ]
     result = play(env, [*actions, *[actions[-1]] * 30])
     assert result is not None

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dynaforge.geometry import Array, JointTrajectory, Pose, matrix_from_rotvec
+from dynaforge.geometry import Array, JointState, JointTrajectory, Pose, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, Obstacle, PlanFailure
 from dynaforge.sim.robot import RobotDescription
 
@@ -73,7 +73,7 @@ def test_trajectories_keep_limits_and_touch_nothing(planner: GlobalPlanner, read
     for seed in range(40):
         rng = np.random.default_rng(seed)
         q, target = random_start(planner, rng), random_goal(ready, rng)
-        trajectory = planner.plan(q, REST, REST, target, rng=rng)
+        trajectory = planner.plan(JointState.at_rest(q), target, rng=rng)
         np.testing.assert_array_equal(trajectory.q[0], q)
         assert_inside_limits(trajectory, planner.robot)
         assert_free(trajectory, planner.collision)
@@ -86,7 +86,7 @@ def test_a_moving_arm_brakes_first_and_keeps_every_limit(planner: GlobalPlanner,
         rng = np.random.default_rng(seed)
         q, target = robot.q_ready + rng.uniform(-0.2, 0.2, 7), random_goal(ready, rng)
         dq, ddq = rng.uniform(-0.3, 0.3, 7) * robot.dq_max, rng.uniform(-0.5, 0.5, 7) * robot.ddq_max
-        trajectory = planner.plan(q, dq, ddq, target, rng=rng)
+        trajectory = planner.plan(JointState(q, dq, ddq), target, rng=rng)
         for sample, given in ((trajectory.q, q), (trajectory.dq, dq), (trajectory.ddq, ddq)):
             np.testing.assert_allclose(sample[0], given, atol=1e-12)
         assert_inside_limits(trajectory, robot)
@@ -100,7 +100,7 @@ def test_a_wall_is_planned_around(walled: GlobalPlanner, ready: Pose) -> None:
     goal = kinematics.solve(target, start, max_iterations=50).q
     assert not walled.collision.edge_free(start, goal)  # the wall is in the way
     for seed in range(6):
-        trajectory = walled.plan(start, REST, REST, target, rng=np.random.default_rng(seed))
+        trajectory = walled.plan(JointState.at_rest(start), target, rng=np.random.default_rng(seed))
         assert_inside_limits(trajectory, robot)
         assert_free(trajectory, walled.collision)
         assert_arrives(trajectory, target, kinematics)
@@ -110,13 +110,13 @@ def test_a_straight_edge_is_time_optimal(planner: GlobalPlanner, robot: RobotDes
     # By hand: joint 7 turns by 1 rad; at 0.97 * 10 rad/s^2 half the way up, half down: 2 sqrt(1 / 9.7) = 0.642 s.
     q_goal = robot.q_ready - np.array((0, 0, 0, 0, 0, 0, 1.0))
     trajectory = planner.plan(
-        robot.q_ready, REST, REST, planner.kinematics.forward(q_goal), rng=np.random.default_rng(0)
+        JointState.at_rest(robot.q_ready), planner.kinematics.forward(q_goal), rng=np.random.default_rng(0)
     )
     assert 0.64 <= trajectory.duration <= 0.642 + 1.5 * DT
 
 
 def test_an_arm_that_stands_at_the_goal_stays(planner: GlobalPlanner, robot: RobotDescription, ready: Pose) -> None:
-    trajectory = planner.plan(robot.q_ready, REST, REST, ready, rng=np.random.default_rng(0))
+    trajectory = planner.plan(JointState.at_rest(robot.q_ready), ready, rng=np.random.default_rng(0))
     assert len(trajectory) == 1
     np.testing.assert_array_equal(trajectory.q[0], robot.q_ready)
 
@@ -126,8 +126,8 @@ def test_a_plan_depends_only_on_inputs_and_generator(
 ) -> None:
     fresh = GlobalPlanner(robot, ArmKinematics(robot), CollisionModel(robot, fixtures=[WALL]), dt=DT)
     q, target = np.concatenate(((-0.6,), robot.q_ready[1:])), Pose(ready.rotation, np.array((0.5, 0.3, 0.2)))
-    first = walled.plan(q, REST, REST, target, rng=np.random.default_rng(3))
-    second = fresh.plan(q, REST, REST, target, rng=np.random.default_rng(3))
+    first = walled.plan(JointState.at_rest(q), target, rng=np.random.default_rng(3))
+    second = fresh.plan(JointState.at_rest(q), target, rng=np.random.default_rng(3))
     np.testing.assert_array_equal(first.q, second.q)
     np.testing.assert_array_equal(first.ddq, second.ddq)
 
@@ -138,7 +138,7 @@ def test_a_hand_that_grazes_the_table_may_leave_it(planner: GlobalPlanner, ready
     assert planner.collision.in_collision(q)
     for where in ((0.5, 0.1, 0.2), (0.62, 0.1, 0.012)):  # straight up, and along the table after a retreat
         target = Pose(ready.rotation, np.array(where))
-        trajectory = planner.plan(q, REST, REST, target, rng=np.random.default_rng(0))
+        trajectory = planner.plan(JointState.at_rest(q), target, rng=np.random.default_rng(0))
         hits = [planner.collision.in_collision(sample) for sample in trajectory.q]
         first_free = hits.index(False)
         assert not any(hits[first_free:])
@@ -152,7 +152,7 @@ def test_failures_name_their_reason(
     def reason(planner: GlobalPlanner, position: tuple[float, float, float]) -> str:
         target = Pose(ready.rotation, np.array(position))
         with pytest.raises(PlanFailure) as failure:
-            planner.plan(robot.q_ready, REST, REST, target, rng=np.random.default_rng(0))
+            planner.plan(JointState.at_rest(robot.q_ready), target, rng=np.random.default_rng(0))
         assert str(failure.value).startswith(failure.value.reason)
         return failure.value.reason
 
@@ -171,7 +171,7 @@ def test_a_goal_behind_closed_walls_has_no_path(
     planner = GlobalPlanner(robot, kinematics, collision, dt=DT)
     target = Pose(ready.rotation, np.array((0.5, 0.3, 0.2)))
     with pytest.raises(PlanFailure) as failure:
-        planner.plan(robot.q_ready, REST, REST, target, rng=np.random.default_rng(0))
+        planner.plan(JointState.at_rest(robot.q_ready), target, rng=np.random.default_rng(0))
     assert failure.value.reason == "no path"
 
 
@@ -187,6 +187,7 @@ def test_values_that_are_not_finite_are_refused_by_name(
         "target rotation": ready.rotation,
     }
     given[name] = np.full_like(given[name], np.nan)
+    start = JointState(given["q"], given["dq"], given["ddq"])
     target = Pose(given["target rotation"], given["target position"])
     with pytest.raises(ValueError, match=f"{name} is"):
-        planner.plan(given["q"], given["dq"], given["ddq"], target, rng=np.random.default_rng(0))
+        planner.plan(start, target, rng=np.random.default_rng(0))

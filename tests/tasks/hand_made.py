@@ -76,4 +76,12 @@ def view(
 ) -> PhaseView:  # fmt: skip
     """Look at a scene from a phase entered at `entry` of an episode begun at `start`, both by default this scene."""
     entry, start = entry or state, start or state
-    return PhaseView(state, entry, start, heading_frames(state, None), heading_frames(entry, None), grasp, lead_time)
+    return PhaseView(
+        state=state,
+        entry=entry,
+        start=start,
+        frames=heading_frames(state, None),
+        entry_frames=heading_frames(entry, None),
+        grasp=grasp,
+        lead_time=lead_time,
+    )

@@ -37,11 +37,11 @@ def test_an_action_says_where_the_recording_went(layout: ActionLayout) -> None:
             np.testing.assert_array_equal(row[:7], steps["joint_reference"][k])
             assert layout.width(row) == steps["width_reference"][k]
             continue
-        target = layout.pose(row)
+        target = layout.hand_target(row)
         wanted = steps["projected_action"][k]
-        np.testing.assert_array_equal(target.position, wanted[:3])
-        np.testing.assert_allclose(target.rotation, matrix_from_quat(wanted[3:7]), atol=1e-9)
-        assert layout.width(row) == wanted[7]
+        np.testing.assert_array_equal(target.pose.position, wanted[:3])
+        np.testing.assert_allclose(target.pose.rotation, matrix_from_quat(wanted[3:7]), atol=1e-9)
+        assert target.width == wanted[7]
         if layout.elbow:
             assert row[layout.names.index("elbow")] == steps["joint_reference"][k, ELBOW]
 
@@ -82,4 +82,4 @@ def test_a_layout_that_makes_no_sense_is_named(arguments: tuple, words: str) -> 
 def test_numbers_that_mean_no_rotation_are_refused(rotation: str) -> None:
     layout = ActionLayout("ee", rotation)
     with pytest.raises(ValueError, match="rotation"):
-        layout.pose(np.zeros(len(layout.names)))
+        layout.hand_target(np.zeros(len(layout.names)))

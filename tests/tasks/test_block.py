@@ -51,7 +51,7 @@ def seen(
         on_table={"block": on_table},
     )  # fmt: skip
     frames = heading_frames(state, None)
-    return PhaseView(state, state, state, frames, frames)
+    return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])

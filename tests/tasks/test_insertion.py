@@ -78,7 +78,7 @@ class Insertion:
 
 def view(state: SceneState) -> PhaseView:
     frames = heading_frames(state, None)
-    return PhaseView(state, state, state, frames, frames)
+    return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)
 
 
 @pytest.fixture(

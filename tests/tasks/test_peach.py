@@ -34,7 +34,7 @@ def seen(
         on_table={"peach": False},
     )  # fmt: skip
     frames = heading_frames(state, None)
-    return PhaseView(state, state, state, frames, frames)
+    return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)
 
 
 def test_the_peach_starts_rolling_without_slip_and_enters_the_reach_in_time() -> None:

@@ -10,6 +10,7 @@ from dynaforge.cli.command import Command
 from dynaforge.options.numbers import SEED, WholeNumber, minutes
 from dynaforge.options.paths import OutputPath
 from dynaforge.options.words import one_of
+from dynaforge.tasks import FRAMES
 from dynaforge.training.forge_folder import default_folder
 from dynaforge.training.settings import known_algorithms
 
@@ -36,8 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default="frontier_grpo",
         help="which file of zoo_configs to train with",
     )
-    frames = ("target", "world")
-    parser.add_argument("--residual-frame", **one_of("frame", frames), help="instead of the task's own")
+    parser.add_argument("--residual-frame", **one_of("frame", FRAMES), help="instead of the task's own")
     add_workers(parser)
     parser.add_argument(
         "--out",

@@ -1,0 +1,112 @@
+"""Eq. 5 of the paper, all of it: the planner's action, corrected by the policy, projected onto the robot's limits.
+
+The equation, evaluated at every control step:
+
+    a = project(a_plan + m * scale * a_res)
+
+Its symbols, and where each of them is computed:
+
+    a_plan    the planner's target for the hand: a pose and an opening (`PlannedAction.target`)
+    a_res     the policy's action, one number in [-1, 1] per dimension
+    scale     metres and radians per unit, the phase's share included (`ResidualScale.physical`)
+    frame     the axes of a_res: the heading frame of the phase's object, or the world (`ResidualScale.physical`)
+    m         the gate, 1 or 0: whether the running phase lets the residual act (`gated`)
+    +         positions and widths add; the rotation vector turns the hand in place (`requested_target`)
+    project   fingers above the table, an opening that the hand has, and of what then remains the nearest joint motion
+              within position, velocity, acceleration and jerk limits (`project`)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynaforge.envs.executor import PhaseExecutor, PlannedAction
+from dynaforge.geometry import Array
+from dynaforge.planning import JointReference, LocalPlanner
+from dynaforge.sim import HandTarget
+from dynaforge.tasks import Frame, ResidualSpec
+
+ROUNDING = 1.0 + 1e-9  # of a residual at its bound
+
+
+class ResidualScale:
+    """Scale and frame of Eq. 5: turns the policy's action into metres and radians along the axes of the world.
+
+    Dimensions of scale 0 are switched off: an action has no number for them.
+
+    Args:
+        spec: The task's scales, and its frame.
+        frame: Overrides the task's own frame.
+
+    Attributes:
+        frame: "target" or "world".
+        size: How many numbers an action has.
+    """
+
+    def __init__(self, spec: ResidualSpec, frame: Frame | None = None) -> None:
+        self.frame: Frame = frame or spec.frame
+        self._all = np.array(spec.scales)
+        self._active = np.flatnonzero(self._all)
+        self._scales = self._all[self._active]
+        self.size = len(self._active)
+
+    def physical(self, action: Array, executor: PhaseExecutor) -> Array:
+        """Return scale * a_res of Eq. 5 in the axes of the world, shape (7,): metres, radians, metres of width.
+
+        Args:
+            action: a_res, shape (size,).
+            executor: Knows the running phase's share of the scales, and the heading of its object.
+        """
+        residual = np.zeros(7)
+        residual[self._active] = executor.phase.residual_share * self._scales * action
+        if self.frame == "target":
+            rotation = executor.frame.rotation
+            residual[:3] = rotation @ residual[:3]
+            residual[3:6] = rotation @ residual[3:6]
+        return residual
+
+    def nearest_possible(self, residual: Array, executor: PhaseExecutor) -> Array:
+        """Return the physical residual nearest to a given one that some action stands for now, shape (7,).
+
+        Args:
+            residual: Such as `physical` returns, shape (7,); one that is possible is returned as it is.
+            executor: As for `physical`.
+        """
+        bound = executor.phase.residual_share * self._all
+        turn = np.eye(7)
+        if self.frame == "target":
+            turn[:3, :3] = turn[3:6, 3:6] = executor.frame.rotation
+        local = turn.T @ residual
+        if (np.abs(local) <= bound * ROUNDING + 1e-12).all():
+            return residual
+        return np.asarray(turn @ local.clip(-bound, bound))
+
+
+def gated(residual: Array | None, planned: PlannedAction) -> Array | None:
+    """Return m * scale * a_res of Eq. 5: the physical residual while the gate is open, None while it is closed."""
+    return residual if planned.gate else None
+
+
+def requested_target(planned: PlannedAction, residual: Array | None) -> HandTarget:
+    """Return the sum of Eq. 5: what is asked of the hand, whatever the limits will leave of it.
+
+    Args:
+        planned: a_plan.
+        residual: As `gated` returns it, shape (7,); None leaves the plan as it is.
+    """
+    return planned.target if residual is None else planned.target.corrected(residual)
+
+
+def project(requested: HandTarget, planned: PlannedAction, local: LocalPlanner) -> JointReference:
+    """Return the projection of Eq. 5: what the limits leave of a requested target by the end of the control step.
+
+    A sample of a global plan keeps all limits already, so it is followed as it is. Its phase has no gate.
+
+    Args:
+        requested: As `requested_target` returns it.
+        planned: a_plan; in a global phase it contains the sample.
+        local: Holds the joint reference and moves it.
+    """
+    if planned.sample is not None:
+        return local.follow(planned.sample, requested.width)
+    return local.track(requested.within_reach(local.robot))
