@@ -17,7 +17,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="what `dynaforge compare --out` names")
     parser.add_argument("--task", default="can")
-    parser.add_argument("--variants", nargs="+", default=["grpo", "frontier_grpo"])
+    parser.add_argument("--variants", "--arms", nargs="+", default=["grpo", "frontier_grpo"])
     parser.add_argument("--out", type=Path, default=Path())
     options = parser.parse_args()
     place = options.folder / options.task
