@@ -7,13 +7,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dynaforge.generators.attempts import NoWorkers, Result, attempt_once, run_attempts
+    from dynaforge.generators.attempts import Result, attempt_once, run_attempts
     from dynaforge.generators.by_name import make_generator
     from dynaforge.generators.collecting import Goal, Source, collect
     from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
     from dynaforge.generators.giving_up import GaveUp
     from dynaforge.generators.learner import LearnerGenerator
     from dynaforge.generators.oracle import Oracle
+    from dynaforge.sampling.processes import NoWorkers
 
 __all__ = [
     "ConstantResidual",

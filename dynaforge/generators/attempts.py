@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, Protocol
 
 from dynaforge.demos import Attempt, Episode
 from dynaforge.generators.generator import Generator, make_env
-from dynaforge.sampling.processes import guard_hint, kill_pool, usable_cores, worker_pool
+from dynaforge.sampling.processes import NoWorkers, kill_pool, started_pool, usable_cores, worker_pool
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.user_code import in_one_line
 
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
-
-
-class NoWorkers(RuntimeError):  # noqa: N818  the name says what happened
-    """Whatever would run attempts does not even start."""
+AHEAD = 2  # attempts given to each worker, so that it never waits for the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,70 +60,94 @@ def run_attempts(
     Raises:
         NoWorkers: Workers cannot even start, or the generator cannot be made in them; says why.
     """
+    yield from in_order(_Processes(task, generator, workers or usable_cores()), conditions, block=block)
+
+
+class Attempters(Protocol):
+    """Workers of any kind and the attempts they were given, oldest first."""
+
+    @property
+    def running(self) -> Sized:
+        """The attempts under way."""
+
+    def hand_out(self, source: Iterator[Condition]) -> None:
+        """Take as many conditions as keep every worker busy."""
+
+    def next_result(self) -> Result:
+        """Wait for the oldest attempt; a worker that died or hung is replaced."""
+
+    def kill(self) -> None:
+        """End all workers."""
+
+
+def in_order(attempters: Attempters, conditions: Iterable[Condition], *, block: int) -> Iterator[Result]:
+    """Attempt every condition and yield the results in order; the workers end with the iteration.
+
+    Args:
+        attempters: The workers.
+        conditions: May be endless if the caller stops iterating.
+        block: Block number noted with every attempt.
+    """
     source = iter(conditions)
-    crew = _Crew(task, generator, workers or usable_cores())
     try:
-        crew.hand_out(islice(source, 2 * crew.size))
-        while crew.running:
-            yield crew.next_result().in_block(block)
-            crew.hand_out(islice(source, 1))
+        attempters.hand_out(source)
+        while attempters.running:
+            yield attempters.next_result().in_block(block)
+            attempters.hand_out(source)
     finally:
-        crew.kill()
+        attempters.kill()
 
 
-class _Crew:
-    """Worker processes and the conditions they were handed, oldest first; a dead worker is replaced."""
+class _Processes:
+    """Worker processes on this machine."""
 
     def __init__(self, task: Task, generator: Generator, size: int) -> None:
-        self.size = size
         self.running: list[tuple[Condition, Future[Result]]] = []
-        self._task, self._generator = task, generator
-        self._pool = self._make(size)
+        self._size, self._task, self._generator = size, task, generator
+        self._pool = self._make()
 
-    def hand_out(self, conditions: Iterable[Condition]) -> None:
-        for condition in conditions:
-            try:
-                future = self._pool.submit(_attempt, condition)
-            except BrokenProcessPool as error:  # a worker died meanwhile: its condition finds that out in its turn
-                future = Future()
-                future.set_exception(error)
-            self.running.append((condition, future))
+    def hand_out(self, source: Iterator[Condition]) -> None:
+        for condition in islice(source, AHEAD * self._size - len(self.running)):
+            self._submit(condition)
 
     def next_result(self) -> Result:
         condition, future = self.running.pop(0)
         try:
             return future.result(timeout=TIMEOUT)
         except TimeoutError:
-            result = self._lost(condition, f"it ran for {TIMEOUT:g} s")
+            result = self._failed(condition, f"it ran for {TIMEOUT:g} s")
         except BrokenProcessPool:
             result = self._alone(condition)  # who killed the worker is known only of a condition that runs alone
         self.kill()
-        self._pool = self._make(self.size)
+        self._pool = self._make()
         waiting, self.running = [c for c, _ in self.running], []
-        self.hand_out(waiting)
+        for other in waiting:
+            self._submit(other)
         return result
 
     def kill(self) -> None:
         kill_pool(self._pool)
 
-    def _make(self, size: int) -> ProcessPoolExecutor:
-        return worker_pool(size, _start, self._task, self._generator)
+    def _make(self) -> ProcessPoolExecutor:
+        return worker_pool(self._size, _start, self._task, self._generator)
+
+    def _submit(self, condition: Condition) -> None:
+        try:
+            future = self._pool.submit(_attempt, condition)
+        except BrokenProcessPool as error:  # a worker died meanwhile: its condition finds that out in its turn
+            future = Future()
+            future.set_exception(error)
+        self.running.append((condition, future))
 
     def _alone(self, condition: Condition) -> Result:
-        pool = self._make(1)
         try:
-            try:
-                pool.submit(_ready).result(timeout=TIMEOUT)
-            except BrokenProcessPool as error:
-                raise NoWorkers(f"Worker processes die as they start.{guard_hint()}") from error
-            return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
+            with started_pool(1, _start, self._task, self._generator, timeout=TIMEOUT) as pool:
+                return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
         except (BrokenProcessPool, TimeoutError) as error:
-            return self._lost(condition, type(error).__name__)
-        finally:
-            kill_pool(pool)
+            return self._failed(condition, type(error).__name__)
 
-    def _lost(self, condition: Condition, why: str) -> Result:
-        return lost(condition, self._generator.name, f"worker lost: {why}")
+    def _failed(self, condition: Condition, why: str) -> Result:
+        return failed_attempt(condition, self._generator.name, f"worker lost: {why}")
 
 
 def _start(task: Task, generator: Generator) -> None:
@@ -136,10 +157,6 @@ def _start(task: Task, generator: Generator) -> None:
         _env = make_env(generator, task)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - told by the first attempt: here it would only end the worker
         _fault = in_one_line(error)
-
-
-def _ready() -> None:
-    """Do nothing: a worker that can has started."""
 
 
 def _attempt(condition: Condition) -> Result:
@@ -155,11 +172,17 @@ def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result
     try:
         episode = generator.attempt(env, condition)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a failed attempt, never a missing one
-        return lost(condition, generator.name, f"exception: {type(error).__name__}: {error}")
+        return failed_attempt(condition, generator.name, f"exception: {type(error).__name__}: {error}")
     return Result(Attempt.of(episode, wall_seconds=time.perf_counter() - start), episode)
 
 
-def lost(condition: Condition, generator: str, reason: str) -> Result:
-    """Return the failed attempt that stands for one that left nothing."""
+def failed_attempt(condition: Condition, generator: str, reason: str) -> Result:
+    """Return the result of an attempt that left no episode.
+
+    Args:
+        condition: What was attempted.
+        generator: Name of the generator.
+        reason: Why it failed.
+    """
     outcome = Outcome(success=False, checkpoint=0, failure=reason)
     return Result(Attempt(condition=condition, generator=generator, outcome=outcome, duration=0.0), None)

@@ -9,15 +9,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from dynaforge.generators.attempts import TIMEOUT, NoWorkers, Result, attempt_once, lost
+from dynaforge.generators.attempts import AHEAD, TIMEOUT, Result, attempt_once, failed_attempt, in_order
 from dynaforge.generators.generator import Generator, make_env
-from dynaforge.sampling.processes import SINGLE_THREAD
+from dynaforge.sampling.processes import SINGLE_THREAD, NoWorkers
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.task_file import VARIABLE
 
 PATIENCE = 300.0  # seconds without any actor that is up, after which the run ends
-AHEAD = 2  # attempts handed to an actor, so that it never waits for the next
 TRIES = 2  # actors that fall under an attempt before it counts as failed
 
 
@@ -57,15 +56,7 @@ def run_attempts_on_ray(
     """
     ray = connected()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-    crew = _Crew(ray, task, generator, count)
-    source = iter(conditions)
-    try:
-        crew.hand_out(source)
-        while crew.running:
-            yield crew.next_result().in_block(block)
-            crew.hand_out(source)
-    finally:
-        crew.kill()
+    yield from in_order(_Actors(ray, task, generator, count), conditions, block=block)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -87,8 +78,8 @@ class _Attempt:
     falls: int = 0
 
 
-class _Crew:
-    """Actors and what they were handed, oldest first."""
+class _Actors:
+    """Actors on a Ray cluster."""
 
     def __init__(self, ray: Any, task: Task, generator: Generator, size: int) -> None:
         self.running: deque[_Attempt] = deque()
@@ -125,7 +116,7 @@ class _Crew:
                 self._load[attempt.actor] -= 1
             except self._ray.exceptions.GetTimeoutError:
                 self._replace(attempt.actor)
-                result = lost(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
+                result = failed_attempt(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
             except self._ray.exceptions.RayError as error:
                 attempt.falls += attempt.alone
                 self._replace(attempt.actor)
@@ -133,7 +124,7 @@ class _Crew:
                     self._give(attempt, self._idle_one(), alone=True)
                     self._give_again()
                     continue
-                result = lost(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
+                result = failed_attempt(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
             self.running.popleft()
             self._give_again()
             return result

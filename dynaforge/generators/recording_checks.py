@@ -14,7 +14,7 @@ from dynaforge.demos.observations import ObservationRenderer
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.verification import EpisodeVerifier
 from dynaforge.generators.repeat import Repeater
-from dynaforge.sampling.processes import guard_hint, kill_pool, worker_pool
+from dynaforge.sampling.processes import started_pool
 from dynaforge.tasks import Task
 
 TIMEOUT = 300.0  # seconds of wall time after which a recording is taken to hang
@@ -57,7 +57,7 @@ def check_recordings(options: VerifyOptions, names: Sequence[str], *, workers: i
         workers: Processes; 1 checks in this one.
 
     Raises:
-        OSError: Workers cannot even start.
+        NoWorkers: Workers cannot even start.
     """
     if workers <= 1:
         with closing(RecordingChecker(options)) as checker:
@@ -79,20 +79,14 @@ def check_recordings(options: VerifyOptions, names: Sequence[str], *, workers: i
 
 def _in_pool(options: VerifyOptions, names: Sequence[str], workers: int) -> Generator[list[Finding], None, int]:
     """Yield findings until all are done or a worker dies or hangs; returns how many recordings were done."""
-    pool, done = worker_pool(workers, _start, options), 0
-    try:
-        pool.submit(_ready).result(timeout=TIMEOUT)
-    except (BrokenProcessPool, TimeoutError) as error:
-        kill_pool(pool)
-        raise OSError(f"Worker processes die as they start.{guard_hint()}") from error
-    try:
-        for future in [pool.submit(_check, name) for name in names]:
-            yield future.result(timeout=TIMEOUT)
-            done += 1
-    except (BrokenProcessPool, TimeoutError):
-        pass
-    finally:
-        kill_pool(pool)
+    done = 0
+    with started_pool(workers, _start, options, timeout=TIMEOUT) as pool:
+        try:
+            for future in [pool.submit(_check, name) for name in names]:
+                yield future.result(timeout=TIMEOUT)
+                done += 1
+        except (BrokenProcessPool, TimeoutError):
+            pass
     return done
 
 
@@ -131,10 +125,6 @@ _checker: RecordingChecker | None = None  # of a worker process
 def _start(options: VerifyOptions) -> None:
     global _checker
     _checker = RecordingChecker(options)
-
-
-def _ready() -> None:
-    """Do nothing: a worker that can do so has started."""
 
 
 def _check(name: str) -> list[Finding]:

@@ -13,9 +13,11 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import connection, forkserver, parent_process
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,10 @@ PARENT_GONE_GRACE = 1.0  # s
 OPEN_FILES = 32  # that a pool, the libraries and what is being written need beside the workers' own
 NO_SHARED_MEMORY = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.ENOSPC, errno.ENOSYS)
 GUARD = "if __name__ == '__main__':"
+
+
+class NoWorkers(RuntimeError):  # noqa: N818  the name says what happened
+    """Workers do not even start."""
 
 
 def usable_cores(root: Path = Path("/")) -> int:
@@ -152,9 +158,14 @@ def end_after(sentinel: int) -> None:
 
 
 def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> ProcessPoolExecutor:
-    """Make a pool of workers that each begin with `start(*arguments)`, of fewer where few files may be open.
+    """Make a pool of workers that each begin with `start(*arguments)`.
 
     Both are sent by value where they come from the main script, so that code from a notebook or stdin works.
+
+    Args:
+        workers: How many at most; fewer where this process may open few files.
+        start: What each of them begins with.
+        arguments: Its arguments.
 
     Raises:
         OSError: There is no shared memory for the pool's semaphores.
@@ -174,14 +185,59 @@ def worker_pool(workers: int, start: Callable[..., None], *arguments: Any) -> Pr
         ) from error
 
 
+@contextlib.contextmanager
+def started_pool(
+    workers: int, start: Callable[..., None], *arguments: Any, timeout: float
+) -> Iterator[ProcessPoolExecutor]:
+    """Make a pool as `worker_pool` does, wait until a worker has started, and kill them all at the end of the block.
+
+    Args:
+        workers: How many.
+        start: What each of them begins with.
+        arguments: Its arguments.
+        timeout: Longest time in s that starting may take.
+
+    Raises:
+        NoWorkers: They die as they start, or take too long.
+        OSError: There is no shared memory for the pool's semaphores.
+    """
+    pool = worker_pool(workers, start, *arguments)
+    try:
+        try:
+            pool.submit(_do_nothing).result(timeout=timeout)
+        except BrokenProcessPool as error:
+            raise NoWorkers(f"Worker processes die as they start.{guard_hint()}") from error
+        except TimeoutError as error:
+            raise NoWorkers(f"Worker processes have not started within {timeout:g} s.") from error
+        yield pool
+    finally:
+        kill_pool(pool)
+
+
 def kill_pool(pool: ProcessPoolExecutor) -> None:
     """End a pool and its workers now, whatever they are doing."""
     processes = list((pool._processes or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join(2.0)
+    end_processes(processes, (BaseProcess.terminate, 2.0), (BaseProcess.kill, 0.5))
+
+
+def end_processes(
+    processes: Sequence[BaseProcess], *stages: tuple[Callable[[BaseProcess], None] | None, float]
+) -> None:
+    """End child processes, by harder means from stage to stage.
+
+    Args:
+        processes: Children of this process.
+        stages: What is done to those still alive, or None to wait only, and the seconds they are given to end.
+    """
+    for stop, patience in stages:
+        alive = [process for process in processes if process.is_alive()]
+        for process in alive:
+            if stop is not None:
+                stop(process)
+        deadline = time.monotonic() + patience
+        for process in alive:
+            process.join(max(0.0, deadline - time.monotonic()))
 
 
 def affordable_workers() -> int:
@@ -192,6 +248,10 @@ def affordable_workers() -> int:
         return sys.maxsize
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     return sys.maxsize if limit == resource.RLIM_INFINITY else max(1, (limit - OPEN_FILES) // 2)
+
+
+def _do_nothing() -> None:
+    """Return: a worker that can has started."""
 
 
 def _begin_in_pool(pickled: bytes) -> None:

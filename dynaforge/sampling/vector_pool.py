@@ -6,7 +6,6 @@ import contextlib
 import os
 import pickle
 import select
-import signal
 import tempfile
 import time
 import weakref
@@ -19,7 +18,7 @@ from typing import Any
 import gymnasium as gym
 
 from dynaforge.sampling.interrupts import put_off
-from dynaforge.sampling.processes import guard_hint, worker_context, worker_environment
+from dynaforge.sampling.processes import end_processes, guard_hint, worker_context, worker_environment
 from dynaforge.sampling.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
 from dynaforge.sampling.vector_worker import (
     CLOSE,
@@ -234,16 +233,12 @@ def _see_out(processes: Sequence[BaseProcess], pipes: Sequence[Connection[Any, A
     for pipe in pipes:
         with contextlib.suppress(OSError):
             pipe.send_bytes(CLOSE)
-    stages = (None, ASK_PATIENCE), (signal.SIGTERM, TERMINATE_PATIENCE), (signal.SIGKILL, KILL_PATIENCE)
-    for stop, patience in stages:
-        alive = [process for process in processes if process.is_alive()]
-        for process in alive:
-            if stop is not None and process.pid is not None:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(process.pid, stop)
-        deadline = time.monotonic() + patience
-        for process in alive:
-            process.join(max(0.0, deadline - time.monotonic()))
+    end_processes(
+        processes,
+        (None, ASK_PATIENCE),
+        (BaseProcess.terminate, TERMINATE_PATIENCE),
+        (BaseProcess.kill, KILL_PATIENCE),
+    )
     for pipe in pipes:
         pipe.close()
 

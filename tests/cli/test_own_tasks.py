@@ -19,7 +19,7 @@ from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.dataset import Provenance
 from dynaforge.generators import Generator, Goal, PlannerOnly, collect
-from dynaforge.generators.attempts import Result, lost
+from dynaforge.generators.attempts import Result, failed_attempt
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
@@ -99,7 +99,7 @@ def test_collecting_notes_the_file_and_no_folder_of_it(balls: Path) -> None:
     dataset = DemonstrationDataset("again", task="ball")
 
     def engine(task: Task, generator: Generator, conditions: Iterable[Condition], **_: object) -> Iterator[Result]:
-        return (lost(condition, generator.name, "no wind") for condition in conditions)
+        return (failed_attempt(condition, generator.name, "no wind") for condition in conditions)
 
     collect(dataset, get_task("ball.py"), PlannerOnly(), Goal(None, 1), engine=engine)
     assert json.loads(Path("again/generators.json").read_text())["planner_only"]["task_file"] == "ball.py"

@@ -11,7 +11,7 @@ import pytest
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.generators import Goal, PlannerOnly, Source, collect, run_attempts
-from dynaforge.generators.attempts import lost
+from dynaforge.generators.attempts import failed_attempt
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
@@ -63,7 +63,7 @@ def test_what_is_missing_in_the_middle_is_attempted(tmp_path: Path) -> None:
     dataset = DemonstrationDataset(tmp_path, task="can")
     for index, condition in enumerate(islice(Source().conditions(CAN), 4)):
         if index != 1:
-            dataset.record(lost(condition, "planner_only", "x").attempt)
+            dataset.record(failed_attempt(condition, "planner_only", "x").attempt)
     done = collect(dataset, CAN, PlannerOnly(), Goal(None, 4), workers=1)
     assert sorted(ids(done)) == sorted(stream(4))
     assert [attempt.condition.id for attempt in done if attempt.failure != "x"] == stream(4)[1:2]

@@ -13,7 +13,7 @@ from dynaforge.cli import collect as command
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
-from dynaforge.generators.attempts import lost
+from dynaforge.generators.attempts import failed_attempt
 from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, get_task
@@ -29,7 +29,7 @@ def engine(wins: Callable[[int], bool], *, ahead: int = 4, raising: bool = False
         nonlocal k
         won, k = wins(k), k + 1
         if raising:
-            return lost(condition, "planner_only", "exception: OSError: gone")
+            return failed_attempt(condition, "planner_only", "exception: OSError: gone")
         reason = "" if won else ("dropped" if k % 3 else "slipped\naway")
         outcome = Outcome(success=won, checkpoint=5 if won else 1, failure=reason, phase="lift")
         episode = Episode(condition=condition, generator="planner_only", outcome=outcome, duration=1.0, steps={})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from typing import Any
 import pytest
 
 from dynaforge.sampling import processes
-from dynaforge.sampling.processes import affordable_workers, usable_cores, worker_pool
+from dynaforge.sampling.processes import NoWorkers, affordable_workers, started_pool, usable_cores, worker_pool
 
 SCRIPT = """
 import os, time
@@ -125,6 +126,22 @@ def test_missing_shared_memory_is_named(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(processes, "ProcessPoolExecutor", refuse)
     with pytest.raises(OSError, match=r"/dev/shm refuses them: Read-only file system.*--shm-size"):
         worker_pool(1, print)
+
+
+@pytest.mark.parametrize(
+    ("start", "argument", "timeout", "message"),
+    [
+        (os._exit, 3, 60.0, "Worker processes die as they start"),
+        (time.sleep, 60, 0.5, r"have not started within 0\.5 s"),
+    ],
+)
+def test_workers_that_do_not_start_are_an_error_and_are_ended(
+    start: Any, argument: int, timeout: float, message: str
+) -> None:
+    before = set(multiprocessing.active_children())
+    with pytest.raises(NoWorkers, match=message), started_pool(1, start, argument, timeout=timeout):
+        pytest.fail("no worker has started")
+    assert set(multiprocessing.active_children()) <= before
 
 
 @pytest.mark.slow
