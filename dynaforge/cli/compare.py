@@ -11,6 +11,7 @@ from dynaforge.reports import write_comparison
 from dynaforge.training.comparison import Comparison
 from dynaforge.training.comparison_table import comparison_table
 from dynaforge.training.matrix import check_variants, compared_variants, refuse_links, run_matrix
+from dynaforge.training.run_archive import write_archives
 from dynaforge.training.run_pool import RunPool
 from dynaforge.training.run_spec import Evaluation, RunSpec
 
@@ -35,6 +36,7 @@ def run(options: argparse.Namespace) -> int:
     if not comparison.runs:
         print("nothing is finished yet, so there is nothing to report")
         return 1
+    write_archives(spec.folder for spec in specs if spec.finished)
     date = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
     page = write_comparison(options.out, comparison, command=options.command, date=date)
     print(f"\n{comparison_table(comparison)}\n")

@@ -93,13 +93,23 @@ class TrainingHistory:
             ValueError: The file is something else.
         """
         try:
-            data = json.loads(path.read_text())
-            probes = [Probe(**probe) for probe in data.pop("probes")]
-            history = TrainingHistory(**data, probes=probes)
+            return TrainingHistory.of(json.loads(path.read_text()))
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path} is no training history: {error}.") from error
+
+    @staticmethod
+    def of(data: Any) -> TrainingHistory:
+        """Make it of the JSON data of a file.
+
+        Raises:
+            ValueError: The data are something else.
+        """
+        try:
+            history = TrainingHistory(**data | {"probes": [Probe(**probe) for probe in data["probes"]]})
             for f in fields(history):
                 _check_numbers(f.name, getattr(history, f.name))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise ValueError(f"{path} is no training history: {error}.") from error
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(str(error)) from error
         return history
 
 

@@ -23,7 +23,8 @@ from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sampling.processes import end_after
 from dynaforge.tasks import Task, get_task
 from dynaforge.training.history import STRATA, Probe
-from dynaforge.training.run_spec import EVALUATED, PLANNER_ONLY, Evaluation, RunSpec
+from dynaforge.training.run_archive import EVALUATED
+from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation, RunSpec
 
 SAVED_EVERY = 5  # updates; a kill costs at most so many
 PROBED_EVERY = 5  # updates, between two probes

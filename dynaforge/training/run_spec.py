@@ -12,10 +12,8 @@ from typing import Any
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task, get_task
 from dynaforge.tasks.digest import task_digest
+from dynaforge.training.run_archive import is_finished, read_run
 from dynaforge.training.settings import hyperparameters
-
-EVALUATED = "exam.json"
-"""The file that a run's evaluation is stored in, written last."""
 
 PLANNER_ONLY = "planner_only"
 """The variant that trains nothing and evaluates the planner."""
@@ -91,19 +89,20 @@ class RunSpec:
     @property
     def finished(self) -> bool:
         """Whether the run came to its end, its evaluation included."""
-        return (self.folder / EVALUATED).is_file()
+        return is_finished(self.folder)
 
     def check(self) -> None:
-        """Compare the run with what its folder contains.
+        """Compare the run with what its folder, or the archive of its task, contains.
 
         Raises:
             ValueError: It contains another run, or one with settings that zoo_configs no longer has.
         """
         path = self.folder / "run.json"
-        if not path.is_file():
+        archived: Any = None if path.is_file() else read_run(self.folder).get("run.json")
+        if not path.is_file() and archived is None:
             return
         try:
-            metadata = json.loads(path.read_text())
+            metadata = json.loads(path.read_text()) if path.is_file() else archived
             stored = metadata["run"] | {"settings": metadata["settings"]}
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(

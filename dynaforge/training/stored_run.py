@@ -1,8 +1,7 @@
-"""A finished training run, read back from its folder."""
+"""A finished training run, read back from its folder or from the archive of its task."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 
 from dynaforge.geometry import one_line
 from dynaforge.training.history import TrainingHistory
-from dynaforge.training.run_spec import EVALUATED, PLANNER_ONLY, Evaluation
+from dynaforge.training.run_archive import EVALUATED, read_run
+from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -45,27 +45,27 @@ class StoredRun:
 
     @staticmethod
     def load(folder: Path) -> StoredRun:
-        """Read a run's folder.
+        """Read a run by its folder, which need not exist if the run is in the archive of its task.
 
         Raises:
-            ValueError: A file in it is damaged.
+            ValueError: A file is damaged.
         """
         try:
-            evaluated = json.loads((folder / EVALUATED).read_text())
-            metadata = json.loads((folder / "run.json").read_text()) if (folder / "run.json").is_file() else None
+            files = read_run(folder)
+            evaluated, metadata = files[EVALUATED], files.get("run.json")
             outcomes = [attempt["outcome"] for attempt in evaluated["attempts"]]
             return StoredRun(
                 task=evaluated["task"],
                 variant=metadata["run"]["arm"] if metadata else PLANNER_ONLY,
                 seed=metadata["run"]["seed"] if metadata else 0,
                 settings=metadata["settings"] if metadata else {},
-                history=TrainingHistory.load(folder / "history.json") if metadata else None,
+                history=TrainingHistory.of(files["history.json"]) if metadata else None,
                 success=np.array([outcome == "success" for outcome in outcomes]),
                 conditions=tuple(attempt["id"] for attempt in evaluated["attempts"]),
                 failures=tuple(outcome for outcome in outcomes if outcome != "success"),
                 evaluation=Evaluation(**evaluated["exam"]),
             )
-        except (json.JSONDecodeError, UnicodeError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{folder} holds no readable run: {type(error).__name__}: {error}.") from error
 
     @property

@@ -64,10 +64,11 @@ def check(options: argparse.Namespace) -> None:
         raise ValueError(f"--vary {setting} names a value twice: {' '.join(values)}.")
     check_varied(setting, values)
     out = options.out
-    if options.report_only and not any(out.glob("*/planner_only/exam.json")) and not any(out.glob("*/*/*/exam.json")):
+    finished = ("*/planner_only/exam.json", "*/*/*/exam.json", "*/runs.json")
+    if options.report_only and not any(any(out.glob(name)) for name in finished):
         raise ValueError(f"--report-only finds nothing finished in {out}; leave it out to start the runs.")
     existing = [path.name for path in out.iterdir() if path.name[0] != "."] if out.is_dir() else []
-    if existing and not any(out.glob("*/planner_only")) and not any(out.glob("*/*/seed-*")):
+    if existing and not any(any(out.glob(name)) for name in ("*/planner_only", "*/*/seed-*", "*/runs.json")):
         raise ValueError(f"--out {out} holds other data ({existing[0]}). Choose a new or empty folder.")
 
 
