@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynaforge.benchmarks import limits as bench_limits
+from dynaforge.geometry import JointTrajectory, Pose
+from dynaforge.planning import ArmKinematics, CollisionModel, Obstacle
+from dynaforge.sim.robot import franka
+from dynaforge.tasks import get_task
+
+CAN = get_task("can")
+
+
+def test_finger_speed_is_measured_over_full_strokes_and_a_faster_motor_is_seen(monkeypatch):
+    (figure,) = bench_limits.finger_speed(CAN)
+    assert figure.ok, figure
+    assert all(0.045 < speed <= 0.05 for speed in figure.raw["metres_per_second"].values())
+    monkeypatch.setattr("dynaforge.sim.scene.FINGER_SPEED_MARGIN", 1.2)
+    (figure,) = bench_limits.finger_speed(CAN)
+    assert not figure.ok
+    assert figure.raw["metres_per_second"]["at once"] == pytest.approx(0.06, rel=0.02)
+
+
+def test_the_global_planner_is_checked_in_episodes_and_to_random_goals():
+    (figure,) = bench_limits.global_planner(CAN, n=3)
+    assert figure.ok, figure
+    assert {name: part["outside"] for name, part in figure.raw.items()} == {
+        "episodes": 0, "bare table": 0, "furnished table": 0,
+    }  # fmt: skip
+    assert figure.raw["episodes"]["trajectories"] >= 3
+
+
+def straight(q0, q1, seconds, *, dt=0.1):
+    """A joint line at constant speed, hand-worked: slopes (q1 - q0) / seconds, no acceleration."""
+    n = round(seconds / dt)
+    q = q0 + np.linspace(0, 1, n + 1)[:, None] * (q1 - q0)
+    return JointTrajectory(dt, q, np.tile((q1 - q0) / seconds, (n + 1, 1)), np.zeros((n + 1, 7)))
+
+
+def test_every_kind_of_excess_of_a_trajectory_is_seen():
+    robot = franka()
+    collision, ready = CollisionModel(robot), robot.q_ready
+    turn = np.eye(7)[0]
+    calm = bench_limits.examine(straight(ready, ready + 1.31 * turn, 1.0), robot, collision)
+    assert calm.inside
+    assert calm.velocity == pytest.approx(0.5)  # 1.31 of 2.62 rad/s
+    assert calm.position == pytest.approx(-0.8421)  # joint 4 is nearest its limit: -2.2 of -3.0421 rad
+    fast = straight(ready, ready + 1.31 * turn, 0.4)
+    assert bench_limits.examine(fast, robot, collision).velocity == pytest.approx(1.25)
+    quiet = replace(fast, dq=0.0 * fast.dq)  # claims to stand, and moves
+    assert not bench_limits.examine(quiet, robot, collision).inside
+    jump = replace(fast, dq=np.where(np.arange(5)[:, None] < 2, 0.0, 2.0 * turn))  # 2 rad/s in 0.1 s, of 10 rad/s^2
+    assert bench_limits.examine(jump, robot, collision).acceleration == pytest.approx(2.0)
+    beyond = bench_limits.examine(straight(ready, ready + 3.0 * turn, 3.0), robot, collision)
+    assert beyond.position == pytest.approx(3.0 - 2.7437)
+    down = ready + np.array((0, 1.2, 0, 0.6, 0, 0, 0))  # stretches the arm through the table
+    through = bench_limits.examine(straight(ready, down, 3.0), robot, collision)
+    assert through.collisions > 0
+    assert not through.started_in_collision
+    assert not through.inside
+
+
+def test_a_hit_between_two_free_samples_is_seen():
+    robot = franka()
+    x, y, _ = ArmKinematics(robot).forward(robot.q_ready).position
+    post = Obstacle("post", "cylinder", (0.02, 2.0), Pose(np.eye(3), np.array((x, y, 1.0))))
+    collision = CollisionModel(robot, fixtures=(post,))
+    low, high = robot.q_ready - np.eye(7)[0], robot.q_ready + np.eye(7)[0]
+    assert not collision.in_collision(low)
+    assert not collision.in_collision(high)
+    swing = straight(low, high, 2.0, dt=2.0)  # two samples, the post between them
+    assert bench_limits.examine(swing, robot, collision).collisions > 0
