@@ -32,7 +32,7 @@ def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: fl
     """
     check_choice("scale_advantage", scale)
     if returns.ndim != 2 or returns.shape[1] < 2:
-        raise ValueError(f"Returns must have shape (N, K) with K >= 2 rollouts a group; given {returns.shape}.")
+        raise ValueError(f"Returns must have shape (N, K) with K >= 2 rollouts per group; given {returns.shape}.")
     # Equal returns differ from their mean by rounding alone, which a deviation near zero would blow up.
     equal = np.ptp(returns, axis=1, keepdims=True) <= RETURN_TOLERANCE
     # Critic-free: K rollouts of one condition estimate its value by their mean. That needs no network, and unlike a

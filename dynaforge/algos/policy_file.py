@@ -37,7 +37,7 @@ Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 
 class MlpPolicyFile:
-    """The deterministic part of a trained policy: mean of Eq. 4, in plain numpy (9 us a call).
+    """The deterministic part of a trained policy: mean of Eq. 4, in plain numpy (9 us per call).
 
     `load` and `of` check what they return: finite weights, layers that chain, sizes that fit the task.
 

@@ -92,7 +92,7 @@ def state_arrays(state: SceneState) -> list[Array]:
 
 
 class HashingEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """A residual env that can tell the hash of its running episode, and its process.
+    """A residual env that reports the hash of its running episode, and its process.
 
     Args:
         task: Task name.
@@ -167,7 +167,7 @@ def _run_seeded(env: HashingEnv, condition: Condition) -> str:
 
 
 class BusyLoopEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Burns a known processor time a step, and nothing else: what remains is the cost of vectorising.
+    """Burns a known processor time per step and does nothing else: what remains is the cost of vectorising.
 
     Args:
         step_seconds: Processor seconds of a step.

@@ -70,9 +70,9 @@ class Recording:
 def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
     """Compare whole planner-only episodes, planning and reset included, with the bare simulator.
 
-    Bare is stepSimulation and one array motor call a substep, replaying the very same episodes: their joint targets
+    Bare is stepSimulation and one array motor call per substep, replaying the very same episodes: their joint targets
     and the speeds of fixtures are computed beforehand, and resets are outside its clock. The opening is commanded where
-    it changes, since nothing would be gripped otherwise, and fixtures once a control step, since they carry things. A
+    it changes, since nothing would be gripped otherwise, and fixtures once per control step, since they carry things. A
     replay that does not end in the recorded state bit for bit misses the figure: both loops must simulate the same
     contacts.
 

@@ -22,7 +22,7 @@ from dynaforge.registration import env_id
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.tasks import Task
 
-MOST_OVERHEAD = 20e-6  # CPU seconds an env-step beside the env's own
+MOST_OVERHEAD = 20e-6  # CPU seconds per env step beside the env's own
 LEAST_GAIN = 1.7  # times one env's throughput, with two workers
 MOST_ERROR_SECONDS, MOST_CLOSE_SECONDS = 5.0, 2.0
 KILL_AFTER = 0.15  # seconds into the rollout
@@ -70,7 +70,7 @@ def compare(
     """Compare a vectorised env with one env in this process, under the same random actions.
 
     Returns:
-        For each round the CPU seconds an env-step (this process and workers) beyond the single env's, and the
+        For each round the CPU seconds per env step (this process and workers) beyond the single env's, and the
         throughput by the wall clock over the single env's.
     """
     one = make()
@@ -104,7 +104,7 @@ def compare(
 
 
 class _Timed:
-    """Makes an env that can tell the processor time of its process."""
+    """Makes an env that reports the processor time of its process."""
 
     def __init__(self, make: EnvFn) -> None:
         self._make = make

@@ -1,4 +1,4 @@
-"""A folder of demonstrations: one file an episode, a ledger of every attempt, and nothing that a kill can break."""
+"""A folder of demonstrations: one file per episode, a ledger of every attempt, and nothing that a kill can break."""
 
 from __future__ import annotations
 

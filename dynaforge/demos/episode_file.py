@@ -1,4 +1,4 @@
-"""One immutable HDF5 file an episode: every flipped bit and every lost tail is noticed on reading.
+"""One immutable HDF5 file per episode: reading it detects every flipped bit and every missing tail.
 
 The file begins with a 512-byte HDF5 user block: one text line with the SHA-256 and the length of all bytes that
 follow. Any HDF5 reader skips it. In the file: the root attribute `header` (JSON) and one table `steps`, a row a control
@@ -125,7 +125,7 @@ def _write_header(file: Any, text: str) -> None:
 
 
 def _table(episode: Episode) -> NDArray[Any] | None:
-    """Put the arrays side by side, a row a control step."""
+    """Put the arrays side by side, one row per control step."""
     if not episode.steps:
         return None
     columns = [(name, array.dtype.str, array.shape[1:]) for name, array in episode.steps.items()]

@@ -219,7 +219,7 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
 
 
 class ObservationFolder:
-    """Rendered observations beside a dataset's episodes: `settings.json` and one file an episode.
+    """Rendered observations beside a dataset's episodes: `settings.json` and one file per episode.
 
     Args:
         path: The folder; by default `observations/` of the dataset.

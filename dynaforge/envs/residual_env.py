@@ -30,7 +30,7 @@ class ResidualEnv(WorldEnv):
     changes. The reward is 0 until the end and then R of Eq. 6. A timeout terminates: truncation would make
     Stable-Baselines3 add a bootstrapped value to R. Every info holds "is_success", False until won.
 
-    Films run at true speed. RecordVideo, VecVideoRecorder and "rgb_array_list" take one picture a step; so while
+    Films run at true speed. RecordVideo, VecVideoRecorder and "rgb_array_list" take one image per step; so while
     pictures are taken, a step is one control step, 1 / metadata["render_fps"] seconds. After a `render()` that follows
     a step, the next step ends after one control step; it decides only where a decision is due, and otherwise its action
     is not read and the residual held on. After a `render()` that follows a reset, the episode begins again at t = 0,

@@ -229,7 +229,7 @@ def no_bin_lost(
     """Check that no difficulty bin was lost: none has its whole interval of the difference below -10 points.
 
     Args:
-        before, after: Success on the same conditions, one row a bin, shape (8, 100) by the protocol; rows may
+        before, after: Success on the same conditions, one row per bin, shape (8, 100) by the protocol; rows may
             also differ in length.
         margin: What a bin may lose, as a rate.
 

@@ -10,7 +10,7 @@ from dynaforge.planning.local_planner import JointReference, ramp_width, require
 from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
-SLACK = 1e-3  # share of the limits left to rounding: targets arrive as float32, inverse kinematics ends at 1e-6
+LIMIT_TOLERANCE = 1e-3  # share of the limits left to rounding: targets are float32, inverse kinematics ends at 1e-6
 TOLERANCE = 1e-6  # metres and radians
 MAX_ITERATIONS = 8
 
@@ -34,8 +34,8 @@ class TargetFollower:
 
     def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
         self.robot, self.kinematics, self.dt = robot, kinematics, dt
-        self._dq_max = robot.dq_max * (1.0 + SLACK)
-        self._gain = robot.ddq_max * dt * (1.0 + SLACK)  # most change of the velocity in one control step
+        self._dq_max = robot.dq_max * (1.0 + LIMIT_TOLERANCE)
+        self._gain = robot.ddq_max * dt * (1.0 + LIMIT_TOLERANCE)  # most change of the velocity in one control step
         self.reset(robot.q_ready, robot.width_max)
 
     @property

@@ -133,7 +133,7 @@ class SharedMemoryVecEnv(VecEnv):
         return self._observations()
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Start one step. `actions`: one row an env, shape (n_envs, *action shape)."""
+        """Start one step. `actions`: one row per env, shape (n_envs, *action shape)."""
         if np.shape(actions) != self._actions.shape:
             raise ValueError(f"actions have shape {np.shape(actions)}, expected {self._actions.shape}.")
         self._actions[...] = actions

@@ -1,7 +1,7 @@
 """The worker side of the vectorised env: a process that builds its share of the envs and steps them on command.
 
 Kept free of torch and Stable-Baselines3, which would cost every worker seconds and hundreds of megabytes. Commands
-and answers are short byte strings over a pipe, one answer a command; arrays lie in one shared block of memory.
+and answers are short byte strings over a pipe, one answer per command; arrays lie in one shared block of memory.
 """
 
 from __future__ import annotations

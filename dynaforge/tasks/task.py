@@ -1,4 +1,4 @@
-"""What a task is: declarative data, one value a task."""
+"""What a task is: declarative data, one value per task."""
 
 from __future__ import annotations
 

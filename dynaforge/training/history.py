@@ -1,4 +1,4 @@
-"""What a training run leaves behind, one row an update: the same for every algorithm, so that runs compare."""
+"""What a training run leaves behind, one row per update: the same for every algorithm, so that runs compare."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from dynaforge.planning import (
     LocalPlanner,
     TargetFollower,
 )
-from dynaforge.planning.target_follower import SLACK, stopping_velocity
+from dynaforge.planning.target_follower import LIMIT_TOLERANCE, stopping_velocity
 from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import ELBOW, RobotDescription
 
@@ -41,7 +41,7 @@ def motions(robot: RobotDescription, kinematics: ArmKinematics, ready: Pose) -> 
 
 
 def assert_step_inside_limits(before: JointReference, after: JointReference, robot: RobotDescription) -> None:
-    slack = 1 + SLACK + 1e-9
+    slack = 1 + LIMIT_TOLERANCE + 1e-9
     assert (np.abs(after.joints.q - before.joints.q) / DT <= robot.dq_max * slack).all()
     assert (np.abs(after.joints.dq - before.joints.dq) / DT <= robot.ddq_max * slack).all()
     np.testing.assert_allclose(after.joints.dq, (after.joints.q - before.joints.q) / DT, atol=1e-9)

@@ -1,4 +1,4 @@
-"""Episodes as learners want them: robot state, object state, pictures, actions, one row a control step."""
+"""Episodes as learners want them: robot state, object state, pictures, actions, one row per control step."""
 
 from __future__ import annotations
 

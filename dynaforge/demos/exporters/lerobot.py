@@ -1,4 +1,4 @@
-"""LeRobotDataset v3.0 without LeRobot: parquet, one row group an episode, and one MP4 a camera and episode."""
+"""LeRobotDataset v3.0 without LeRobot: parquet, one row group per episode, one MP4 per camera and episode."""
 
 from __future__ import annotations
 
