@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,16 +16,14 @@ import numpy as np
 from dynaforge.cli.arguments.tasks import chosen_task
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.evaluation import DgrReport, PairedDifference, comparison_table, paired_difference
-from dynaforge.files.atomic import atomic_write
-from dynaforge.files.versions import package_versions
+from dynaforge.evaluation import DgrReport, comparison_table, paired_difference
 from dynaforge.generators import GaveUp, Generator, Goal, PlannerOnly, ResidualGenerator, collect
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.measure import measure
 from dynaforge.reports.forge import write_forge_report
 from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
-from dynaforge.training.forge import POLICY, TrainingResult, train
+from dynaforge.training.forge import POLICY, train
 from dynaforge.training.forge_folder import REPORT, ForgeFolder, asked_for
 from dynaforge.training.settings import hyperparameters
 
@@ -76,7 +73,18 @@ def run(options: argparse.Namespace) -> int:
 
     if not folder.finished:
         print("[5/5] writing the report")
-        _write(out, task, options, trained, reports, paired, pair[1])
+        write_forge_report(
+            out,
+            task,
+            out / POLICY,
+            command=options.command,
+            algo=options.algo,
+            seed=options.seed,
+            history=trained.history,
+            reports=reports,
+            paired=paired,
+            attempts=pair[1],
+        )
     print()
     print(comparison_table(reports, paired=paired))
     print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
@@ -121,37 +129,3 @@ def _collect(task: Task, generator: Generator, folder: Path, options: argparse.N
     if tally.successes < options.demos:
         print(f"      only {tally}: {describe_counts(tally.reasons)}. Train longer (--budget)")
     return dataset
-
-
-def _write(
-    out: Path,
-    task: Task,
-    options: argparse.Namespace,
-    trained: TrainingResult,
-    reports: list[DgrReport],
-    paired: PairedDifference,
-    attempts: list[Attempt],
-) -> None:
-    result = {
-        "command": options.command,
-        "task": task.name,
-        "algo": options.algo,
-        "seed": options.seed,
-        "versions": package_versions(),
-        "updates": len(trained.history),
-        "reports": [report.to_dict() for report in reports],
-        "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
-    }
-    atomic_write(out / "result.json", json.dumps(result, indent=2).encode())
-    write_forge_report(
-        out / REPORT,
-        task,
-        out / POLICY,
-        command=options.command,
-        algo=options.algo,
-        seed=options.seed,
-        history=trained.history,
-        reports=reports,
-        paired=paired,
-        attempts=attempts,
-    )

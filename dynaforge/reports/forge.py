@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, datetime
 from pathlib import Path
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference
+from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.reports.film import film_clips
 from dynaforge.reports.html import ReportData, ReportFigure, write_report
 from dynaforge.reports.plots import dgr_by_difficulty, failure_bars, learning_curve, stratum_heatmap
 from dynaforge.tasks import Task
+from dynaforge.training.forge_folder import REPORT
 from dynaforge.training.history import TrainingHistory
 
 
 def write_forge_report(
-    page: Path,
+    folder: Path,
     task: Task,
     policy: Path,
     *,
@@ -28,10 +31,10 @@ def write_forge_report(
     paired: PairedDifference,
     attempts: list[Attempt],
 ) -> None:
-    """Write the page.
+    """Write result.json and report.html.
 
     Args:
-        page: HTML file.
+        folder: Where they are written; the page last.
         task: The task.
         policy: File of the trained policy, for the films.
         command: The command that made the run.
@@ -42,6 +45,17 @@ def write_forge_report(
         paired: Their difference, condition by condition.
         attempts: Those with the residual; some are filmed.
     """
+    result = {
+        "command": command,
+        "task": task.name,
+        "algo": algo,
+        "seed": seed,
+        "versions": package_versions(),
+        "updates": len(history),
+        "reports": [report.to_dict() for report in reports],
+        "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
+    }
+    atomic_write(folder / "result.json", json.dumps(result, indent=2).encode())
     data = ReportData(
         title=f"{task.env_name}: demonstrations forged",
         task=task.name,
@@ -55,7 +69,7 @@ def write_forge_report(
         clips=film_clips(task, policy, attempts),
         attempts=attempts,
     )
-    write_report(page, data)
+    write_report(folder / REPORT, data)
 
 
 def _training_figures(algo: str, history: TrainingHistory, reports: list[DgrReport]) -> list[ReportFigure]:

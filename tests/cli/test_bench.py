@@ -9,6 +9,7 @@ from dynaforge.benchmarks import data as bench_data
 from dynaforge.benchmarks import determinism as bench_determinism
 from dynaforge.benchmarks import limits as bench_limits
 from dynaforge.benchmarks import speed as bench_speed
+from dynaforge.benchmarks import suite
 from dynaforge.benchmarks import training as bench_training
 from dynaforge.benchmarks import vector as bench_vector
 from dynaforge.benchmarks.figure import Figure
@@ -23,7 +24,9 @@ CAN = get_task("can")
 def found(monkeypatch):
     """Let `dynaforge bench` find these figures instead of measuring."""
     figures = {"light": Figure("lightness", "<= 1 kg", "0.5 kg", True, {"rounds": [0.5]})}
-    monkeypatch.setattr(bench, "MEASUREMENTS", {n: lambda task, rounds, n=n: [figures[n]] for n in ("light", "tall")})
+    measurements = {n: lambda task, rounds, n=n: [figures[n]] for n in ("light", "tall")}
+    for module in (bench, suite):
+        monkeypatch.setattr(module, "MEASUREMENTS", measurements)
     figures["tall"] = replace(figures["light"], title="height", ok=True)
     return figures
 
@@ -40,7 +43,8 @@ def test_bench_ends_with_0_when_every_figure_is_met_and_with_1_when_one_is_misse
 
 
 def test_what_takes_long_is_measured_only_when_named(found, monkeypatch, capsys):
-    monkeypatch.setattr(bench, "LONG", {"tall"})
+    for module in (bench, suite):
+        monkeypatch.setattr(module, "LONG", {"tall"})
     assert main(["bench"]) == 0
     assert "height" not in capsys.readouterr().out
     assert main(["bench", "--only", "tall"]) == 0
@@ -104,7 +108,7 @@ EXACT = ("zero-residual", "one-trajectory", "replay")  # whatever else runs on t
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("name", TASK_NAMES)
 def test_every_row_is_measured_on_every_task(name, monkeypatch):
-    assert set(QUICK) == set(bench.MEASUREMENTS) - bench.LONG
+    assert set(QUICK) == set(suite.MEASUREMENTS) - suite.LONG
     for constant, value in (("ATTEMPTS", 6), ("REPLAYED", 4), ("PACKED", 5), ("WINDOWS", 100)):
         monkeypatch.setattr(bench_data, constant, value)
     task = get_task(name)

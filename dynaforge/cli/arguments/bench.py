@@ -14,7 +14,7 @@ from dynaforge.options.words import Choice
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    from dynaforge.cli.bench import LONG, MEASUREMENTS
+    from dynaforge.benchmarks.suite import LONG, MEASUREMENTS
 
     add_task_argument(parser, "--task", several=True)
     listed = ", ".join(f"{name} (if named, minutes)" if name in LONG else name for name in MEASUREMENTS)

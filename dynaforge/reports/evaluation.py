@@ -1,0 +1,135 @@
+"""What `dynaforge evaluate` finds out and stores: DGR of each generator, and its gain over the first one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from dynaforge.demos import Attempt
+from dynaforge.evaluation import DgrReport, PairedDifference, paired_difference
+from dynaforge.evaluation.dgr import describe_gain
+from dynaforge.evaluation.statistics import no_bin_lost
+from dynaforge.files.atomic import atomic_write
+from dynaforge.files.versions import package_versions
+from dynaforge.tasks import Task
+
+BINS = 8
+"""Equal parts of the difficulty range in which success is reported."""
+
+Measured = Mapping[str, Sequence[Attempt]]
+"""Name of each generator to its attempts, all on the same conditions in the same order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """A generator compared with the first one, condition by condition.
+
+    Attributes:
+        generator: Its name.
+        against: Name of the first one.
+        paired: The difference of their DGR.
+        worse_bins: Bins in which it is worse beyond chance; None where the conditions are not spread evenly over them.
+    """
+
+    generator: str
+    against: str
+    paired: PairedDifference
+    worse_bins: tuple[int, ...] | None
+
+    @property
+    def text(self) -> str:
+        """The gain in a line, and the bins in another if they are known."""
+        line = f"{self.generator} against {self.against}: {describe_gain(self.paired)}"
+        if self.worse_bins is None:
+            return line
+        return f"{line}\nno bin lost: {f'lost {self.worse_bins}' if self.worse_bins else 'holds'}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON data."""
+        data: dict[str, Any] = {
+            "against": self.against,
+            "difference": self.paired.difference,
+            "interval": list(self.paired.interval),
+            "p": self.paired.p_value,
+        }
+        if self.worse_bins is not None:
+            data["no_bin_lost"] = {"holds": not self.worse_bins, "lost": list(self.worse_bins)}
+        return data
+
+
+def reports_of(task: Task, measured: Measured) -> list[DgrReport]:
+    """Return the DGR of every generator."""
+    bounds = task.conditions.difficulty_range
+    return [
+        DgrReport.from_attempts(attempts, difficulty_range=bounds, n_bins=BINS, label=name)
+        for name, attempts in measured.items()
+    ]
+
+
+def gains_over_first(task: Task, measured: Measured) -> list[Gain]:
+    """Compare every generator with the first one."""
+    (first, before), *others = measured.items()
+    gains = []
+    for name, after in others:
+        runs = [[attempt.success for attempt in attempts] for attempts in (before, after)]
+        worse = None
+        if _evenly_spread(task, before):
+            worse = tuple(no_bin_lost(*[[run[k::BINS] for k in range(BINS)] for run in runs]).lost)
+        gains.append(Gain(name, first, paired_difference(*runs), worse))
+    return gains
+
+
+def write_evaluation(path: Path, task: Task, measured: Measured, gains: Sequence[Gain], *, command: str) -> None:
+    """Write what was measured on one task, every outcome included, as JSON.
+
+    Args:
+        path: The file.
+        task: The task.
+        measured: The attempts of every generator.
+        gains: Of the generators after the first.
+        command: The command that measured it.
+    """
+    conditions = next(iter(measured.values()))
+    data = {
+        "task": task.name,
+        "reports": [report.to_dict() for report in reports_of(task, measured)],
+        "gains": {gain.generator: gain.to_dict() for gain in gains},
+        "conditions": [
+            {"id": attempt.condition.id, "block": attempt.block, "difficulty": round(attempt.difficulty, 4)}
+            for attempt in conditions
+        ],
+        "outcomes": {
+            name: [str(attempt.outcome) for attempt in attempts] for name, attempts in measured.items()
+        },
+    }
+    _write(path, command, data)
+
+
+def write_task_table(path: Path, table: Mapping[str, Sequence[DgrReport]], *, minutes: float, command: str) -> None:
+    """Write the DGR on several tasks as JSON.
+
+    Args:
+        path: The file.
+        table: Reports of each task.
+        minutes: How long measuring them took.
+        command: The command that measured them.
+    """
+    reports = {task: [report.to_dict() for report in found] for task, found in table.items()}
+    _write(path, command, {"minutes": round(minutes, 1), "tasks": reports})
+
+
+def _evenly_spread(task: Task, attempts: Sequence[Attempt]) -> bool:
+    """Tell whether attempt i lies in bin i modulo `BINS`, as `--strata` draws them."""
+    return len(attempts) % BINS == 0 and all(
+        task.conditions.stratum(attempt.difficulty, BINS) == i % BINS for i, attempt in enumerate(attempts)
+    )
+
+
+def _write(path: Path, command: str, data: dict[str, Any]) -> None:
+    origin = {"command": command, "date": datetime.now(UTC).strftime("%Y-%m-%d"), "versions": package_versions()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, json.dumps(origin | data, indent=1).encode() + b"\n")
