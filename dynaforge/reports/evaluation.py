@@ -102,9 +102,7 @@ def write_evaluation(path: Path, task: Task, measured: Measured, gains: Sequence
             {"id": attempt.condition.id, "block": attempt.block, "difficulty": round(attempt.difficulty, 4)}
             for attempt in conditions
         ],
-        "outcomes": {
-            name: [str(attempt.outcome) for attempt in attempts] for name, attempts in measured.items()
-        },
+        "outcomes": {name: [str(attempt.outcome) for attempt in attempts] for name, attempts in measured.items()},
     }
     _write(path, command, data)
 
