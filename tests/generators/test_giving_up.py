@@ -12,15 +12,9 @@ import pytest
 from dynaforge.cli import collect as command
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-<<<<<<< HEAD
 from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
 from dynaforge.generators.attempts import failed_attempt
 from dynaforge.generators.giving_up import refuse_if_all_raise
-=======
-from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect, measure
-from dynaforge.generators.attempts import lost
-from dynaforge.generators.giving_up import unless_all_raise
->>>>>>> 3f9c722 (Format)
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, get_task
 
