@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from dynaforge.tasks import TASK_NAMES, get_task
     from dynaforge.tasks.action import ActionLayout
     from dynaforge.tasks.conditions import ConditionSpace
+    from dynaforge.tasks.outcome import Outcome
     from dynaforge.tasks.phase import Mode, Phase
     from dynaforge.tasks.task import ResidualSpec, Task
     from dynaforge.tasks.view import PhaseView
@@ -76,6 +77,7 @@ __all__ = [
     "Mode",
     "ObjectName",
     "ObservationFolder",
+    "Outcome",
     "Pack",
     "Phase",
     "PhaseView",
@@ -126,6 +128,7 @@ _HOMES = {
     "dynaforge.tasks": ("TASK_NAMES", "get_task"),
     "dynaforge.tasks.action": ("ActionLayout",),
     "dynaforge.tasks.conditions": ("ConditionSpace",),
+    "dynaforge.tasks.outcome": ("Outcome",),
     "dynaforge.tasks.phase": ("Mode", "Phase"),
     "dynaforge.tasks.task": ("ResidualSpec", "Task"),
     "dynaforge.tasks.view": ("PhaseView",),
