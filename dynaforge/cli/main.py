@@ -109,7 +109,7 @@ def _overview(name: str, rest: Sequence[str]) -> int:
     for command, text in texts.items():
         print(f"  {command:<12} {text}")
     print("\nFirst steps: `dynaforge forge --task can` (about 15 minutes), or `dynaforge list`.")
-    print("`dynaforge --version` tells the version, `dynaforge --version all` those of what results depend on too.")
+    print("`dynaforge --version` prints the version, `dynaforge --version all` those that results depend on too.")
     return 0
 
 

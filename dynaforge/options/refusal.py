@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 Refused = argparse.ArgumentTypeError
-"""What the type of an option raises; its message goes on from the option's name."""
+"""What the type of an option raises; its message continues the option's name."""
 
 
 def shortened(text: str, longest: int = 60) -> str:

@@ -53,7 +53,16 @@ def config_file(algo: str, env_id: str) -> Path | None:
 def sample_hyperparameters(trial: Any, n_actions: int, n_envs: int, additional_args: dict[str, Any]) -> dict[str, Any]:
     """Sample the options of FrontierGRPO for an Optuna trial, as rl_zoo3's samplers do.
 
-    `log_std_init` reaches from gSDE's -4.5 of each weight to white noise's -0.7 of each component.
+    `log_std_init` ranges from -4.5, for the weights of gSDE, to -0.7, for white noise on each component.
+
+    Args:
+        trial: The Optuna trial.
+        n_actions: Components of an action; not used.
+        n_envs: Envs of the vectorised env; not used.
+        additional_args: What rl_zoo3 passes to samplers of off-policy algorithms; not used.
+
+    Returns:
+        Arguments of the constructor.
     """
     return convert_hyperparameters(
         {

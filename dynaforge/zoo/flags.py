@@ -26,7 +26,7 @@ AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluat
 """Numbers that may not be 0: their scripts divide by them, or never end."""
 
 NEEDED = {"all_plots": ("algos", "env", "exp_folders"), "plot_from_file": ("input",)}
-"""Flags without which a script raises, though it does not say that it requires them."""
+"""Flags without which a script raises, though it does not declare them as required."""
 
 
 def zoo_parser(script: str, *, complete: bool = True) -> Parser:
@@ -42,9 +42,9 @@ def zoo_parser(script: str, *, complete: bool = True) -> Parser:
     parser = Parser(prog=f"dynaforge {script}", add_help=False)
     for call in _calls(_source(script), "add_argument"):
         names = [_value(name) for name in call.args]
-        said = {word.arg: word.value for word in call.keywords}
+        keywords = {word.arg: word.value for word in call.keywords}
         name = names[-1].lstrip("-").replace("-", "_")
-        meaning = _meaning(said, name)
+        meaning = _meaning(keywords, name)
         if "required" in meaning:
             meaning["required"] = complete and (meaning["required"] or name in NEEDED.get(script, ()))
         parser.add_argument(*names, **meaning)
@@ -78,19 +78,19 @@ def _calls(tree: ast.Module, method: str) -> Iterator[ast.Call]:
             yield node
 
 
-def _meaning(said: dict[str | None, ast.expr], name: str) -> dict[str, Any]:
-    """Translate what a script says of a flag, as far as it can be read without running it."""
-    if _value(said.get("action")) == "store_true":
+def _meaning(keywords: dict[str | None, ast.expr], name: str) -> dict[str, Any]:
+    """Return our keywords of `add_argument` for a script's own, as far as they can be read without running it."""
+    if _value(keywords.get("action")) == "store_true":
         return {"action": "store_true"}
-    kind = said.get("type")
+    kind = keywords.get("type")
     meaning: dict[str, Any] = {
-        "nargs": _value(said.get("nargs")),
-        "required": _value(said.get("required")) is True,
+        "nargs": _value(keywords.get("nargs")),
+        "required": _value(keywords.get("required")) is True,
     }
-    if isinstance(choices := _value(said.get("choices")), list):
+    if isinstance(choices := _value(keywords.get("choices")), list):
         meaning["type"] = Choice("choice", choices)
     elif isinstance(kind, ast.Name) and kind.id in ("int", "float"):
-        meaning["type"] = _Figure(int if kind.id == "int" else float, positive=name in AT_LEAST_ONE)
+        meaning["type"] = _PythonNumber(int if kind.id == "int" else float, positive=name in AT_LEAST_ONE)
     return meaning
 
 
@@ -102,14 +102,14 @@ def _value(node: ast.expr | None) -> Any:
         return None
 
 
-class _Figure:
-    """A number as Python reads it."""
+class _PythonNumber:
+    """A number as Python reads it, which is how rl_zoo3 reads it."""
 
     def __init__(self, kind: type[int] | type[float], *, positive: bool) -> None:
         self.kind, self.positive = kind, positive
 
     def __call__(self, text: str) -> float:
-        """Read it."""
+        """Return the number that a text means."""
         try:
             value = self.kind(text)
         except ValueError:

@@ -125,7 +125,7 @@ class ZooProcess:
 
 
 def _never_below_zero(update: Callable[..., None]) -> Callable[..., None]:
-    """Keep the remaining progress at 0 or above: rl_zoo3's schedules go on to negative rates beyond it."""
+    """Keep the remaining progress at 0 or above: below it, rl_zoo3's schedules return negative rates."""
 
     def _update_current_progress_remaining(model: Any, num_timesteps: int, total_timesteps: int) -> None:
         update(model, num_timesteps, total_timesteps)
@@ -175,14 +175,14 @@ def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _saying_what_goes_on(load: Callable[..., Any]) -> Callable[..., Any]:
-    """Print what is continued of the earlier run: rl_zoo3 counts steps anew, and may find no statistics."""
+    """Print what is continued of the earlier run: rl_zoo3 counts steps from 0 again, and may find no statistics."""
 
     def _load_pretrained_agent(manager: Any, *args: Any) -> Any:
         model = load(manager, *args)
-        print(f"Going on from the weights of {manager.trained_agent}; steps and schedules begin anew.")
+        print(f"Continuing from the weights of {manager.trained_agent}; steps and schedules start again from 0.")
         statistics = Path(manager.trained_agent).parent / str(manager.env_name) / "vecnormalize.pkl"
         if manager.normalize and not statistics.exists():
-            print(f"There is no {statistics}: what observations are normalised by begins anew too.")
+            print(f"There is no {statistics}: the statistics that normalise observations start again too.")
         return model
 
     return _load_pretrained_agent

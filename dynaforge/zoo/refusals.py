@@ -56,7 +56,13 @@ def check_statistics(asked: argparse.Namespace) -> None:
 
 
 def check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> None:
-    """Refuse to play in a window where no window can be opened, before anything is loaded."""
+    """Refuse to play in a window where no window can be opened, before anything is loaded.
+
+    Args:
+        script: The script of rl_zoo3; only `enjoy` opens a window.
+        asked: Its flags, read.
+        flags: Its flags as given, among them those that are passed on to the env.
+    """
     if (
         script != "enjoy"
         or not asked.env.startswith("DynaForge/")

@@ -1,4 +1,4 @@
-"""The one way in which commands are told tasks: by name, by env id, or by file."""
+"""The one way to name a task on the command line: by its name, by an env id of it, or by its file."""
 
 from __future__ import annotations
 
