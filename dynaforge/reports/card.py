@@ -46,16 +46,24 @@ class Exported:
 
 
 def write_card(
-    folder: Path, task: Task, dataset: DemonstrationDataset, episodes: Sequence[Exported], *, layout: str,
-    command: str, licence: str, contents: Mapping[str, str], observations: ObservationFolder | None = None,
-) -> str:  # fmt: skip
+    folder: Path,
+    task: Task,
+    dataset: DemonstrationDataset,
+    episodes: Sequence[Exported],
+    *,
+    layout: str,
+    command: str,
+    licence: str,
+    contents: Mapping[str, str],
+    observations: ObservationFolder | None = None,
+) -> str:
     """Write `README.md` and `contact.png` into an exported dataset.
 
     Args:
         folder: The export.
         task: The task.
-        dataset: What it was made from; all its attempts are told of, failures too.
-        episodes: What it holds.
+        dataset: What it was made from; the card counts all its attempts, failures too.
+        episodes: What it contains.
         layout: Name of the format.
         command: What made it.
         licence: An SPDX identifier.

@@ -57,28 +57,44 @@ def write_viewer(
     listed = sorted(rows.values(), key=lambda row: "time" not in row)
     unit = task.conditions.units.get(task.conditions.difficulty, "")
     page = {
-        "title": title, "task": task.name, "unit": unit,
-        "phases": task.n_checkpoints, "picture": EVERY * task.scene.control_dt, "summary": summarise(task, attempts),
-    }  # fmt: skip
+        "title": title,
+        "task": task.name,
+        "unit": unit,
+        "phases": task.n_checkpoints,
+        "picture": EVERY * task.scene.control_dt,
+        "summary": summarise(task, attempts),
+    }
     generators = sorted({attempt.generator for attempt in attempts})
     text = render(
-        VIEWER, title=title, task=task, n=len(listed), strata=strata(task), generators=generators,
-        page=script_data(page), episodes=script_data(listed),
-    )  # fmt: skip
+        VIEWER,
+        title=title,
+        task=task,
+        n=len(listed),
+        strata=strata(task),
+        generators=generators,
+        page=script_data(page),
+        episodes=script_data(listed),
+    )
     atomic_write(path, text.encode(errors="replace"))  # a folder's name may contain bytes that are no text
 
 
 def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, Any]:
     units, outcome = task.conditions.units, attempt.outcome
     return {
-        "id": attempt.id, "ok": outcome.success, "failure": outcome.failure, "difficulty": _figures(attempt.difficulty),
-        "stratum": task.conditions.stratum(attempt.difficulty, STRATA), "generator": attempt.generator,
-        "phase": outcome.phase, "checkpoint": outcome.checkpoint, "duration": round(attempt.duration, 2),
+        "id": attempt.id,
+        "ok": outcome.success,
+        "failure": outcome.failure,
+        "difficulty": _figures(attempt.difficulty),
+        "stratum": task.conditions.stratum(attempt.difficulty, STRATA),
+        "generator": attempt.generator,
+        "phase": outcome.phase,
+        "checkpoint": outcome.checkpoint,
+        "duration": round(attempt.duration, 2),
         "values": [
             [name, _figures(value), units.get(name, "")] for name, value in sorted(attempt.condition.values.items())
         ],
         "note": _why_not_shown(task, attempt, recorded),
-    }  # fmt: skip
+    }
 
 
 def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> str:
