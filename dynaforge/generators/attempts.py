@@ -18,7 +18,7 @@ from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.user_code import in_one_line
 
 TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
-AHEAD = 2  # attempts given to each worker, so that it never waits for the next
+ATTEMPTS_PER_WORKER = 2  # attempts given to each worker, so that it never waits for the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +107,7 @@ class _Processes:
         self._pool = self._make()
 
     def hand_out(self, source: Iterator[Condition]) -> None:
-        for condition in islice(source, AHEAD * self._size - len(self.running)):
+        for condition in islice(source, ATTEMPTS_PER_WORKER * self._size - len(self.running)):
             self._submit(condition)
 
     def next_result(self) -> Result:

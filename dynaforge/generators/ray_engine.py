@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from dynaforge.generators.attempts import AHEAD, TIMEOUT, Result, attempt_once, failed_attempt, in_order
+from dynaforge.generators.attempts import ATTEMPTS_PER_WORKER, TIMEOUT, Result, attempt_once, failed_attempt, in_order
 from dynaforge.generators.generator import Generator, make_env
 from dynaforge.sampling.processes import SINGLE_THREAD, NoWorkers
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.task_file import VARIABLE
 
-PATIENCE = 300.0  # seconds without any actor that is up, after which the run ends
-TRIES = 2  # actors that fall under an attempt before it counts as failed
+NO_ACTOR_TIMEOUT = 300.0  # seconds without any actor that is up, after which the run ends
+MAX_ACTOR_DEATHS = 2  # actors that die during an attempt before it counts as failed
 
 
-class _Attempter:
+class _AttemptActor:
     """The actor: an env of its own, attempt after attempt."""
 
     def __init__(self, task: Task, generator: Generator) -> None:
@@ -85,7 +85,7 @@ class _Actors:
         self.running: deque[_Attempt] = deque()
         self._ray, self._name = ray, generator.name
         inherited = SINGLE_THREAD | {VARIABLE: os.environ.get(VARIABLE, "")}  # a task of one's own needs its module
-        make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": inherited})(_Attempter)
+        make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": inherited})(_AttemptActor)
         self._make: Callable[[], Any] = lambda: make.remote(task, generator)
         self._actors: list[Any] = [None] * size
         self._starting: dict[int, Any] = {}
@@ -95,7 +95,7 @@ class _Actors:
 
     def hand_out(self, source: Iterator[Condition]) -> None:
         """Give every actor that is up as much as it may have; wait for one if none is."""
-        while (k := self._freest(wait=not self.running)) is not None and self._load[k] < AHEAD:
+        while (k := self._freest(wait=not self.running)) is not None and self._load[k] < ATTEMPTS_PER_WORKER:
             condition = next(source, None)
             if condition is None:
                 return
@@ -120,7 +120,7 @@ class _Actors:
             except self._ray.exceptions.RayError as error:
                 attempt.falls += attempt.alone
                 self._replace(attempt.actor)
-                if attempt.falls < TRIES:
+                if attempt.falls < MAX_ACTOR_DEATHS:
                     self._give(attempt, self._idle_one(), alone=True)
                     self._give_again()
                     continue
@@ -171,7 +171,7 @@ class _Actors:
 
     def _freest(self, *, wait: bool) -> int | None:
         """Return the actor with the least to do among those that are up."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + NO_ACTOR_TIMEOUT
         while True:
             problem = self._greet()
             up = [k for k in range(len(self._actors)) if k not in self._starting]
@@ -181,7 +181,7 @@ class _Actors:
                 return None
             if time.monotonic() > deadline:
                 raise NoWorkers(
-                    f"No Ray actor came up within {PATIENCE:g} s ({problem or 'all wait for a core'}). What is "
+                    f"No Ray actor came up within {NO_ACTOR_TIMEOUT:g} s ({problem or 'all wait for a core'}). What is "
                     "recorded stays. See `ray status` for free cores, and that dynaforge is installed on every node."
                 )
             self._ray.wait(list(self._starting.values()), num_returns=1, timeout=1.0)
