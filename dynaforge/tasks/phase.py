@@ -8,7 +8,8 @@ from typing import Any
 
 from dynaforge.sim.checks import check_callable, check_choice, check_flag, check_number, check_text, shown
 from dynaforge.sim.robot import HAND_WIDTH
-from dynaforge.tasks.predicates import SUCH_AS, Predicate
+from dynaforge.tasks.predicates import Predicate
+from dynaforge.tasks.predicates.logic import PREDICATE_EXAMPLE
 from dynaforge.tasks.targets import Target
 
 Ending = tuple[str, Predicate]
@@ -62,7 +63,7 @@ class Phase:
         check_choice(f"{what}: mode", self.mode, tuple(Mode))
         object.__setattr__(self, "mode", Mode(self.mode))
         check_callable(f"{what}: target", self.target, such_as='a target, such as Above("can", 0.1)')
-        check_callable(f"{what}: done", self.done, such_as=SUCH_AS)
+        check_callable(f"{what}: done", self.done, such_as=PREDICATE_EXAMPLE)
         check_number(f"{what}: width", self.width, least=0.0, most=HAND_WIDTH)
         check_number(f"{what}: timeout", self.timeout, above=0.0)
         check_number(f"{what}: hold", self.hold, least=0.0)
@@ -76,7 +77,7 @@ class Phase:
                 f"{what}: hold {self.hold:g} s is not below its timeout {self.timeout:g} s, so it can never be done."
             )
         if self.track_until is not None:
-            check_callable(f"{what}: track_until", self.track_until, such_as=SUCH_AS)
+            check_callable(f"{what}: track_until", self.track_until, such_as=PREDICATE_EXAMPLE)
         for name, given in (("gate", self.gate), ("track_until", self.track_until)):
             if given and self.mode is Mode.GLOBAL:
                 raise ValueError(
@@ -95,5 +96,5 @@ def endings_of(what: str, given: Any) -> tuple[Ending, ...]:
         raise ValueError(f'{what} is {shown(given)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
     for reason, predicate in given:
         check_text(f"{what}: a reason", reason)
-        check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=SUCH_AS)
+        check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=PREDICATE_EXAMPLE)
     return tuple(given)
