@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from dynaforge.algos.frontier_grpo import FrontierGRPO
     from dynaforge.algos.policy_file import MlpPolicyFile
     from dynaforge.demos.dataset import DemonstrationDataset
-    from dynaforge.demos.episode import Episode
+    from dynaforge.demos.episode import Attempt, Episode
     from dynaforge.demos.exporters.frames import Frames, read_frames
-    from dynaforge.demos.ledger import Attempt
     from dynaforge.demos.observations import ObservationFolder
     from dynaforge.demos.pack import Pack
     from dynaforge.demos.untrusted import DamagedFileError
@@ -107,9 +106,8 @@ _HOMES = {
     "dynaforge.algos.policy_file": ("MlpPolicyFile",),
     "dynaforge.training.settings": ("recommended",),
     "dynaforge.demos.dataset": ("DemonstrationDataset",),
-    "dynaforge.demos.episode": ("Episode",),
+    "dynaforge.demos.episode": ("Attempt", "Episode"),
     "dynaforge.demos.exporters.frames": ("Frames", "read_frames"),
-    "dynaforge.demos.ledger": ("Attempt",),
     "dynaforge.demos.observations": ("ObservationFolder",),
     "dynaforge.demos.pack": ("Pack",),
     "dynaforge.demos.untrusted": ("DamagedFileError",),

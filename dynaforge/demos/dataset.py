@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from dynaforge.demos.episode import Episode
+from dynaforge.demos.episode import Attempt, Episode
 from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, read_episode, write_episode
-from dynaforge.demos.ledger import Attempt, Ledger
+from dynaforge.demos.ledger import Ledger
 from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable, read_json
 from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.sim.checks import check_flag, check_kind, check_task_name

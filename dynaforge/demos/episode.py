@@ -1,4 +1,4 @@
-"""One attempt at a task, successful or not, with everything recorded on the way."""
+"""One attempt at a task, successful or not: what is known of it, its recording, and its line in the ledger."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_kind, check_number, shown
+from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, shown
 from dynaforge.tasks.outcome import STORED, Outcome
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -183,3 +183,61 @@ class Episode(AttemptFacts):
             digest.update(f"\n{name} {array.dtype.str} {array.shape}\n".encode())
             digest.update(array.tobytes())
         return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attempt(AttemptFacts):
+    """A line of the ledger: one attempt, without its recording.
+
+    Attributes:
+        condition, generator, outcome, duration: As in `AttemptFacts`.
+        wall_seconds: Real time the attempt took; 0 where it is not known.
+        block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
+        recorded: Whether its recording was kept.
+    """
+
+    wall_seconds: float = 0.0
+    block: int = 0
+    recorded: bool = False
+
+    def __post_init__(self) -> None:
+        AttemptFacts.__post_init__(self)
+        check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
+        check_whole("Attempt: block", self.block, least=0)
+        check_flag("Attempt: recorded", self.recorded)
+
+    @staticmethod
+    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
+        """Return the line of an episode."""
+        return Attempt(
+            condition=episode.condition,
+            generator=episode.generator,
+            outcome=episode.outcome,
+            duration=episode.duration,
+            wall_seconds=wall_seconds,
+            block=block,
+            recorded=recorded,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON data."""
+        return {
+            **self.facts(),
+            "wall_seconds": float(self.wall_seconds),
+            "block": int(self.block),
+            "recorded": bool(self.recorded),
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Attempt:
+        """Rebuild an attempt from `to_dict`.
+
+        Raises:
+            ValueError: Fields are missing or unknown.
+        """
+        check_kind("Attempt", data, Mapping)
+        facts, rest = split_facts(data)
+        try:
+            return Attempt(**facts, **rest)
+        except TypeError as error:
+            raise ValueError(f"Not an attempt: {error}.") from error

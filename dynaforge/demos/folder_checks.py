@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
+from dynaforge.demos.episode import Attempt
 from dynaforge.demos.episode_file import SUFFIX
-from dynaforge.demos.ledger import Attempt
 from dynaforge.demos.observation_file import SETTINGS
 from dynaforge.demos.observations import FOLDER as OBSERVATIONS
 from dynaforge.demos.observations import ObservationFolder

@@ -7,76 +7,16 @@ import errno
 import json
 import os
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from dynaforge.demos.episode import AttemptFacts, Episode, split_facts
+from dynaforge.demos.episode import Attempt
 from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
 from dynaforge.files.atomic import naming
-from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole
+from dynaforge.sim.checks import check_flag, check_kind
 
 LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
 LINE = 2**20  # bytes of a line at most
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attempt(AttemptFacts):
-    """A line of the ledger: one attempt, without its recording.
-
-    Attributes:
-        condition, generator, outcome, duration: As in `AttemptFacts`.
-        wall_seconds: Real time the attempt took; 0 where it is not known.
-        block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
-        recorded: Whether its recording was kept.
-    """
-
-    wall_seconds: float = 0.0
-    block: int = 0
-    recorded: bool = False
-
-    def __post_init__(self) -> None:
-        AttemptFacts.__post_init__(self)
-        check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
-        check_whole("Attempt: block", self.block, least=0)
-        check_flag("Attempt: recorded", self.recorded)
-
-    @staticmethod
-    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
-        """Return the line of an episode."""
-        return Attempt(
-            condition=episode.condition,
-            generator=episode.generator,
-            outcome=episode.outcome,
-            duration=episode.duration,
-            wall_seconds=wall_seconds,
-            block=block,
-            recorded=recorded,
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON data."""
-        return {
-            **self.facts(),
-            "wall_seconds": float(self.wall_seconds),
-            "block": int(self.block),
-            "recorded": bool(self.recorded),
-        }
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Attempt:
-        """Rebuild an attempt from `to_dict`.
-
-        Raises:
-            ValueError: Fields are missing or unknown.
-        """
-        check_kind("Attempt", data, Mapping)
-        facts, rest = split_facts(data)
-        try:
-            return Attempt(**facts, **rest)
-        except TypeError as error:
-            raise ValueError(f"Not an attempt: {error}.") from error
 
 
 class Ledger:
