@@ -40,7 +40,7 @@ def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: fl
     centred = np.where(equal, 0.0, returns - returns.mean(axis=1, keepdims=True))
     if scale == "none" or centred.size == 0:
         return centred
-    # ddof=1: K returns are a sample of what the policy earns. Dividing by K would underestimate their spread, by 6 %
+    # ddof=1: K returns are a sample of what the policy earns. Dividing by K would underestimate their spread, by 6.5 %
     # at K = 8, and so enlarge every advantage of a small group.
     deviation = centred.std(axis=1, ddof=1, keepdims=True) if scale == "group" else centred.std(ddof=1)
     return np.asarray(centred / (deviation + eps))
@@ -96,7 +96,7 @@ def clipped_surrogate(
     ratio = th.exp(log_prob - old_log_prob)
     clipped = ratio.clamp(1.0 - clip_low, 1.0 + clip_high)
     # The smaller of the two: going beyond the range in the advantage's direction brings nothing, and so has no
-    # gradient, whereas a ratio that went the wrong way keeps its full gradient back.
+    # gradient, whereas a ratio that moved the wrong way keeps its full gradient.
     return -th.minimum(ratio * advantages, clipped * advantages)
 
 

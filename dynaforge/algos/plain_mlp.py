@@ -22,7 +22,7 @@ def plain_mlp(model: BaseAlgorithm) -> tuple[Layers, str]:
     """Return the layers and the name of the activation of a model whose deterministic policy is a plain MLP.
 
     Raises:
-        ValueError: The model acts otherwise; says by what.
+        ValueError: Something else acts on its observations or actions; names it.
     """
     policy = model.policy
     if type(policy) not in (ActorCriticPolicy, CriticFreePolicy):
@@ -38,7 +38,7 @@ def plain_mlp(model: BaseAlgorithm) -> tuple[Layers, str]:
 
 
 def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
-    """Say what of the model a plain MLP would leave out; "" if nothing."""
+    """Describe what a plain MLP would leave out of the model; "" if nothing."""
     observation, action = policy.observation_space, policy.action_space
     normalised, loaded = model.get_vec_normalize_env(), getattr(model, "_saved_state", None)
     carried = loaded is not None and loaded.normalisation is not None
@@ -76,7 +76,7 @@ def _changing_wrapper(model: BaseAlgorithm) -> str:
     env = model.get_env()
     try:
         kinds = [kind for kind in (gym.ObservationWrapper, gym.ActionWrapper) if env and any(env.env_is_wrapped(kind))]
-    except (OSError, EOFError, RuntimeError):  # its workers are gone: nothing is left to ask
+    except (OSError, EOFError, RuntimeError):  # its workers have ended
         return ""
     return f"gymnasium.{kinds[0].__name__}" if kinds else ""
 

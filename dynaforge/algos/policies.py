@@ -53,9 +53,10 @@ class CriticFreePolicy(ActorCriticPolicy):
         layers = _policy_layers(net_arch, features_extractor_class)
         if log_std_init is None:
             log_std_init = math.log(DEFAULT_SIGMA)
+            # gSDE's noise is a matrix times the latent vector: its variance grows with the number of latents.
             if kwargs.get("use_sde") and layers:
                 log_std_init -= 0.5 * math.log(layers[-1])
-        kwargs["share_features_extractor"] = True  # A second extractor would belong to the critic.
+        kwargs["share_features_extractor"] = True  # a second extractor would belong to the critic
         super().__init__(
             observation_space,
             action_space,
@@ -70,10 +71,12 @@ class CriticFreePolicy(ActorCriticPolicy):
         super()._build(lr_schedule)
         del self.value_net
         assert isinstance(self.action_net, nn.Linear)
+        # A mean of zero: the first rollouts explore around the planner, not around a random correction of it.
         nn.init.zeros_(self.action_net.weight)
         nn.init.zeros_(self.action_net.bias)
         if hasattr(self, "log_std"):
             self.log_std.requires_grad_(self.learn_std)
+        # Built anew: SB3's has every parameter, a fixed sigma and the deleted value head among them.
         trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
         self.optimizer = self.optimizer_class(trained, lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
@@ -148,4 +151,4 @@ def renew_noise(policy: ActorCriticPolicy, rows: Any) -> None:
     with th.no_grad():
         noise.exploration_matrices[rows] = noise.weights_dist.sample((len(rows),))
     if len(noise.exploration_matrices) == 1:
-        noise.exploration_mat = noise.exploration_matrices[0]  # What SB3 reads for a single env.
+        noise.exploration_mat = noise.exploration_matrices[0]  # what SB3 reads for a single env

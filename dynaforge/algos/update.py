@@ -165,7 +165,7 @@ def _loss(
     kl = estimated_kl(log_prob, batch.log_probs)
     if settings.kl_coef > 0.0:
         # The old policy is the one that acted, so this only bounds the update; there is no reference policy as in
-        # GRPO for language models, where a pretrained one shall be stayed close to.
+        # GRPO for language models, which keeps close to a pretrained one.
         loss = surrogate + settings.kl_coef * (batch.weights * kl).sum() / normaliser
     else:
         loss = surrogate

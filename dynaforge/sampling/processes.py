@@ -1,4 +1,4 @@
-"""How worker processes are started, how many, and how they end: never forked from here, single-threaded, never alone.
+"""How worker processes start, how many there are, and how they end: never forked, one thread each, never orphaned.
 
 Light to import: nothing of the package, and nothing beyond the standard library.
 """
@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-# Python's switch for a sys.path without the current folder, in which a json.py or numpy.py may lie. Any value does, so
-# that this one tells ours from a user's.
-SAFE_PATH, OURS = "PYTHONSAFEPATH", "dynaforge"
+# Python's switch for a sys.path without the current folder, where a json.py or numpy.py may be. Any value switches it
+# on; this one distinguishes our setting from a user's.
+SAFE_PATH, SET_BY_US = "PYTHONSAFEPATH", "dynaforge"
 PARENT_GONE_GRACE = 1.0  # s
-OPEN_FILES = 32  # that a pool, the libraries and what is being written need beside the workers' own
+OPEN_FILES = 32  # needed by the pool, the libraries and the files being written, besides the workers' own
 NO_SHARED_MEMORY = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOENT, errno.ENOSPC, errno.ENOSYS)
 GUARD = "if __name__ == '__main__':"
 
@@ -80,8 +80,8 @@ def worker_context() -> Any:
     the envs once and every worker starts from there.
 
     Raises:
-        SystemExit: This is a worker that imports the main script, which asks for workers: it lacks its guard. The
-            parent says so; a message of every worker would hide it.
+        SystemExit: This is a worker importing a main script that starts workers without its guard. The parent reports
+            that; a message from every worker would hide it.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise SystemExit(1)
@@ -99,9 +99,9 @@ def worker_context() -> Any:
 
 
 def fill_standard_descriptors() -> None:
-    """Open the null device where stdin, stdout or stderr is closed, as services and daemons are started.
+    """Open the null device where stdin, stdout or stderr is closed, as it is for services and daemons.
 
-    Otherwise the next files and pipes take these numbers, and what is printed from C, in a worker too, lands in them.
+    Otherwise the next files and pipes take these numbers, and C code that prints, in a worker too, writes into them.
     """
     for descriptor in range(3):
         try:
@@ -111,7 +111,7 @@ def fill_standard_descriptors() -> None:
 
 
 def guard_hint() -> str:
-    """Say what workers that die as they start may mean; empty where there is no script that they could import."""
+    """Return the likely reason why workers die as they start; empty where there is no script that they could import."""
     if getattr(sys.modules["__main__"], "__file__", None) is None:
         return ""
     return f" A script that starts workers needs `{GUARD}` around what it runs, since workers import it."
@@ -119,10 +119,10 @@ def guard_hint() -> str:
 
 @contextlib.contextmanager
 def worker_environment() -> Iterator[None]:
-    """Let processes started meanwhile inherit one thread for every numerical library, and a safe path for imports."""
-    ours = SINGLE_THREAD | {SAFE_PATH: os.environ.get(SAFE_PATH) or OURS}
-    before = {name: os.environ.get(name) for name in ours}
-    os.environ.update(ours)
+    """Let processes started in the block inherit one thread per numerical library, and a safe path for imports."""
+    inherited = SINGLE_THREAD | {SAFE_PATH: os.environ.get(SAFE_PATH) or SET_BY_US}
+    before = {name: os.environ.get(name) for name in inherited}
+    os.environ.update(inherited)
     try:
         yield
     finally:
@@ -136,7 +136,7 @@ def worker_environment() -> Iterator[None]:
 def begin_worker() -> None:
     """Make this process a worker: one thread for every numerical library, and an end soon after its parent's."""
     os.environ.update(SINGLE_THREAD)
-    if os.environ.get(SAFE_PATH) == OURS:  # what the worker starts is its own affair
+    if os.environ.get(SAFE_PATH) == SET_BY_US:  # not for what the worker itself starts
         del os.environ[SAFE_PATH]
     parent = parent_process()
     if parent is not None:

@@ -1,7 +1,7 @@
 """SharedMemoryVecEnv: many envs in a few worker processes, with their data in shared memory.
 
-It stands where SB3's DummyVecEnv or SubprocVecEnv would. One pipe message a worker and step, however many envs the
-worker holds, keeps the cost of an env-step small; job mode lets a sampler run a list of episodes over any number of
+It stands where SB3's DummyVecEnv or SubprocVecEnv would. One pipe message per worker and step, however many envs the
+worker has, keeps the cost of an env-step small; job mode lets a sampler run a list of episodes over any number of
 envs without simulating anything in between.
 """
 
@@ -51,7 +51,7 @@ class SharedMemoryVecEnv(VecEnv):
     need an `if __name__ == "__main__":` guard, as for every env in subprocesses; notebooks and code on stdin do not.
 
     Args:
-        env_fns: One function an env, each making a new env; closures are welcome.
+        env_fns: One function per env, each making a new env; closures are welcome.
         n_workers: Worker processes; by default as many as the cores that this process may use. More than there are
             envs are not started.
         timeout: Longest time in s that one call into one env may take. Starting may take a minute besides.
@@ -172,14 +172,14 @@ class SharedMemoryVecEnv(VecEnv):
         self._pool.close()
 
     def get_images(self) -> Sequence[NDArray[Any] | None]:
-        """Return one rgb image an env, rendered in its worker."""
+        """Return one RGB image per env, rendered in its worker."""
         if self.render_mode != "rgb_array":
             warnings.warn(f"render_mode is {self.render_mode}; images need 'rgb_array'.", stacklevel=2)
             return [None] * self.num_envs
         return self.env_method("render")
 
     def has_attr(self, attr_name: str) -> bool:
-        """Tell whether every env has this attribute."""
+        """Return whether every env has this attribute."""
         return all(self._apply(has_attribute, None, attr_name))
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
@@ -196,7 +196,13 @@ class SharedMemoryVecEnv(VecEnv):
             raise
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Set an attribute of each env (of its outermost wrapper, as SB3 does)."""
+        """Set an attribute of each env (of its outermost wrapper, as SB3 does).
+
+        Args:
+            attr_name: Name of the attribute.
+            value: Its new value.
+            indices: Envs; all by default.
+        """
         self._apply(set_attribute, indices, attr_name, value)
 
     def env_method(
@@ -208,7 +214,7 @@ class SharedMemoryVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """Tell for each env whether a wrapper of this class stands around it."""
+        """Return for each env whether a wrapper of this class is around it."""
         return self._apply(is_wrapped, indices, wrapper_class)
 
     def _share_memory(self) -> None:
@@ -252,7 +258,7 @@ class SharedMemoryVecEnv(VecEnv):
             self._pool.labels[index] = f"condition {info['condition_id']}"
 
     def _apply(self, function: Callable[..., Any], indices: VecEnvIndices, *args: Any, **kwargs: Any) -> list[Any]:
-        """Return `function(env, *args, **kwargs)` of the envs named, in the order in which they are named."""
+        """Return `function(env, *args, **kwargs)` for the given envs, in the given order."""
         chosen: Iterable[int] = range(len(self._pool.spaces)) if indices is None else self._get_indices(indices)
         order = [range(len(self._pool.spaces))[index] for index in chosen]
         names = {w: [i for i in order if i in share] for w, share in enumerate(self._pool.shares)}

@@ -1,4 +1,4 @@
-"""What can go wrong in a worker of the vectorised env, and how it is told."""
+"""Errors of the vectorised env: what went wrong, in which worker, env and episode."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class WorkerError(RuntimeError):
     Attributes:
         worker: Index of the worker.
         env_index: Index of the env it was in; None if it was in none.
-        condition: What that env was running, in words: the condition's id, else seed or reset arguments.
+        condition: Description of what that env was running: the condition's id, else seed or reset arguments.
     """
 
     def __init__(self, message: str, *, worker: int, env_index: int | None, condition: str) -> None:
@@ -22,7 +22,7 @@ class WorkerError(RuntimeError):
 
 
 class WorkerDied(WorkerError):  # noqa: N818  the name says what happened
-    """A worker is gone, or gave no answer within the time limit and was killed.
+    """A worker has died, or gave no answer within the time limit and was killed.
 
     The vectorised env can only be closed.
     """
@@ -40,7 +40,7 @@ class WorkerFailed(WorkerError):  # noqa: N818  the name says what happened
         self.error_type = error_type
 
 
-class RemoteTraceback(Exception):  # noqa: N818  it is a traceback that can stand as a cause, not an error
+class RemoteTraceback(Exception):  # noqa: N818  a traceback that serves as a cause, not an error of its own
     """The traceback of an exception in a worker, as text."""
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ class RemoteTraceback(Exception):  # noqa: N818  it is a traceback that can stan
 
 
 def exit_reason(exitcode: int | None) -> str:
-    """Say how a process ended."""
+    """Describe how a process ended."""
     if exitcode is None:
         return "exit status unknown"
     if exitcode >= 0:

@@ -1,4 +1,4 @@
-"""The parent's side of the workers: start them, talk to them with a time limit on every wait, see them out."""
+"""The parent's side of the env workers: start them, exchange messages with a limit on every wait, end them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynaforge.sampling.interrupts import put_off
+from dynaforge.sampling.interrupts import signals_deferred
 from dynaforge.sampling.processes import end_processes, guard_hint, worker_context, worker_environment
 from dynaforge.sampling.vector_errors import RemoteTraceback, WorkerDied, WorkerFailed, exit_reason
 from dynaforge.sampling.vector_worker import (
@@ -41,17 +41,17 @@ EnvFn = Callable[[], gym.Env[Any, Any]]
 
 
 class WorkerPool:
-    """A few processes that each hold a contiguous share of the envs.
+    """A few processes, each with a contiguous share of the envs.
 
     Args:
-        env_fns: One function an env; anything cloudpickle can send.
-        n_workers: Processes, at most one an env.
+        env_fns: One function per env; anything cloudpickle can send.
+        n_workers: Processes, at most one per env.
         timeout: Longest time in s that one call into one env may take.
 
     Attributes:
         spaces: Per env its (observation space, action space).
         shares: Per worker the indices of its envs.
-        labels: Per env what it was last told to run, in words; named by errors.
+        labels: Per env a description of what it runs, for errors.
 
     Raises:
         WorkerFailed: An env function raised an exception.
@@ -68,7 +68,7 @@ class WorkerPool:
         self._limit = max(timeout, START_TIMEOUT)
         self._processes: list[BaseProcess] = []
         self._pipes: list[Connection[Any, Any]] = []
-        self._closer = weakref.finalize(self, _see_out, self._processes, self._pipes, os.getpid())
+        self._closer = weakref.finalize(self, _end_workers, self._processes, self._pipes, os.getpid())
         try:
             self._start()
             orders = {w: pickle.dumps([pickled[i] for i in share]) for w, share in enumerate(self.shares)}
@@ -96,23 +96,23 @@ class WorkerPool:
                     pipe.send_bytes(pickle.dumps(layout))
                     reduction.send_handle(pipe, descriptor, process.pid)
                 except OSError:
-                    raise self._lost(worker) from None
+                    raise self._died(worker) from None
         self._arrays = arrays
         return arrays
 
     def post(self, messages: Mapping[int, bytes]) -> None:
-        """Send one command to each worker named; what an interrupted wait left unread is dropped first."""
+        """Send one command to each of the given workers; answers that an interrupted wait left unread are dropped."""
         if not self._closer.alive:
             raise RuntimeError("This vectorised env is closed; make a new one.")
         if self._pending:
             self._await()
         for worker, message in messages.items():
             try:
-                with put_off():  # a command that is sent and not noted would leave its answer to the next one
+                with signals_deferred():  # otherwise a sent but unrecorded command leaves its answer to the next
                     self._pipes[worker].send_bytes(message)
                     self._pending.add(worker)
             except OSError:
-                raise self._lost(worker) from None
+                raise self._died(worker) from None
 
     def collect(self) -> dict[int, Any]:
         """Wait for the answer of every worker that has a command and return the payloads by worker.
@@ -175,14 +175,14 @@ class WorkerPool:
     def _read(self, worker: int, descriptor: int) -> bytes:
         pipe = self._pipes[worker]
         try:
-            # A worker that owes nothing speaks only by dying; one that died may have answered before.
+            # A worker without a pending command is only heard of when it dies; one that died may have answered before.
             if worker not in self._pending or (descriptor != pipe.fileno() and not pipe.poll()):
                 raise EOFError
-            with put_off():  # half an answer that is read, or a whole one that still counts as owed, is worse
+            with signals_deferred():  # no answer may be read by half, or be read and still count as pending
                 answer = pipe.recv_bytes()
                 self._pending.discard(worker)
         except (EOFError, OSError):
-            raise self._lost(worker) from None
+            raise self._died(worker) from None
         return answer
 
     def _check_progress(self, seen: dict[int, tuple[int, float]]) -> None:
@@ -193,22 +193,22 @@ class WorkerPool:
                 seen[worker] = (self._tick(worker), now)
             elif now - since >= self._limit:
                 self._processes[worker].kill()
-                raise self._lost(worker, f"gave no answer for {self._limit:g} s and was killed")
+                raise self._died(worker, f"gave no answer for {self._limit:g} s and was killed")
 
     def _tick(self, worker: int) -> int:
         return 0 if self._arrays is None else int(self._arrays["ticks"][worker])
 
-    def _lost(self, worker: int, what: str | None = None) -> WorkerDied:
+    def _died(self, worker: int, what: str | None = None) -> WorkerDied:
         self._pending.discard(worker)
         process = self._processes[worker]
-        process.join(1.0)  # the exit status follows the broken pipe
+        process.join(1.0)  # the exit status comes later than the broken pipe
         what = what or f"died ({exit_reason(process.exitcode)})"
         index = NO_ENV if self._arrays is None else int(self._arrays["running"][worker])
         if index != NO_ENV:
             condition, where = self.labels[index], f"in env {index}, which ran {self.labels[index]}"
         else:
             condition = ", ".join(f"env {i}: {self.labels[i]}" for i in self.shares[worker])
-            where = f"between two calls; it held {condition}"
+            where = f"between two calls; its envs were {condition}"
         hint = guard_hint() if self._arrays is None else ""
         message = f"Worker {worker} {what} {where}. Close this vectorised env and make a new one.{hint}"
         return WorkerDied(message, worker=worker, env_index=None if index == NO_ENV else index, condition=condition)
@@ -227,8 +227,8 @@ class WorkerPool:
         return failure
 
 
-def _see_out(processes: Sequence[BaseProcess], pipes: Sequence[Connection[Any, Any]], owner: int) -> None:
-    if os.getpid() != owner:  # a forked copy of the owner has no say over the workers
+def _end_workers(processes: Sequence[BaseProcess], pipes: Sequence[Connection[Any, Any]], owner: int) -> None:
+    if os.getpid() != owner:  # a forked copy of the owner must not end its workers
         return
     for pipe in pipes:
         with contextlib.suppress(OSError):
@@ -254,7 +254,7 @@ def _pickle_fn(index: int, env_fn: EnvFn) -> bytes:
 
 @contextlib.contextmanager
 def _anonymous_file() -> Iterator[int]:
-    """Open a file without a name: in memory on Linux (not bound by the size of /dev/shm), temporary elsewhere."""
+    """Open a file without a name: in memory on Linux (not limited by the size of /dev/shm), temporary elsewhere."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("dynaforge-envs")
         try:

@@ -31,7 +31,7 @@ STEPPED, TRUNCATED, IDLE, STARTED = range(4)
 STEP, CLOSE = b"step", b"close"
 # First byte of an answer: nothing to say, a pickled payload, a pickled failure.
 EMPTY, PAYLOAD, FAILURE = b".", b"+", b"!"
-# Entry of the shared array "running" of a worker that is in none of its envs.
+# Value in the shared array "running" for a worker that is in none of its envs.
 NO_ENV = -1
 
 SharedArrays = dict[Hashable, NDArray[Any]]
@@ -72,7 +72,7 @@ def get_attribute(env: gym.Env[Any, Any], name: str) -> Any:
 
 
 def has_attribute(env: gym.Env[Any, Any], name: str) -> bool:
-    """Tell whether the env or what it wraps has an attribute."""
+    """Return whether the env or what it wraps has an attribute."""
     try:
         env.get_wrapper_attr(name)
     except AttributeError:
@@ -81,7 +81,13 @@ def has_attribute(env: gym.Env[Any, Any], name: str) -> bool:
 
 
 def set_attribute(env: gym.Env[Any, Any], name: str, value: Any) -> None:
-    """Set an attribute of the outermost wrapper, as SB3's own vectorised envs do."""
+    """Set an attribute of the outermost wrapper, as SB3's own vectorised envs do.
+
+    Args:
+        env: The env.
+        name: Name of the attribute.
+        value: Its new value.
+    """
     setattr(env, name, value)
 
 
@@ -91,7 +97,7 @@ def call_method(env: gym.Env[Any, Any], name: str, *args: Any, **kwargs: Any) ->
 
 
 def is_wrapped(env: gym.Env[Any, Any], wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]]) -> bool:
-    """Tell whether a wrapper of this class stands somewhere around the env."""
+    """Return whether a wrapper of this class is around the env."""
     while isinstance(env, gym.Wrapper):
         if isinstance(env, wrapper_class):
             return True
@@ -100,7 +106,7 @@ def is_wrapped(env: gym.Env[Any, Any], wrapper_class: type[gym.Wrapper[Any, Any,
 
 
 class EnvRunner:
-    """The envs of one worker and what each of them is doing.
+    """Runs the envs of one worker and tracks what each of them is doing.
 
     Args:
         envs: The worker's envs; `envs[i]` has the global index `first + i`.
@@ -128,7 +134,7 @@ class EnvRunner:
         }
 
     def answer(self, message: bytes) -> bytes:
-        """Carry out one command and return its answer; a failure is an answer too and names the env it met."""
+        """Execute one command and return its answer; an exception is an answer too and names the env it arose in."""
         try:
             if message == STEP:
                 result = self.step({})
@@ -165,16 +171,23 @@ class EnvRunner:
         return [self._start(local, kwargs) for local, kwargs in enumerate(arguments)]
 
     def park(self, flag: bool) -> None:
-        """Choose what follows an episode's end: idling (True) or an automatic reset. Envs never reset idle too.
+        """Choose what follows an episode's end: idling (True) or an automatic reset.
 
-        Without parking an env that idles is reset at the next step.
+        With parking, envs that were never reset idle as well; without it, an idle env is reset at the next step.
         """
         self._park = flag
         if flag:
             self._idle = [idle or not begun for idle, begun in zip(self._idle, self._begun, strict=True)]
 
     def apply(self, indices: Sequence[int], function: Callable[..., Any], args: Any, kwargs: Any) -> list[Any]:
-        """Return `function(env, *args, **kwargs)` of the envs with these global indices."""
+        """Return `function(env, *args, **kwargs)` for some envs.
+
+        Args:
+            indices: Global indices of the envs.
+            function: What to call.
+            args: Its arguments after the env.
+            kwargs: Its keyword arguments.
+        """
         results = []
         for index in indices:
             self._enter(index)
@@ -223,7 +236,7 @@ class EnvRunner:
 
 
 def describe_failure(error: BaseException, index: int | None) -> bytes:
-    """Turn an exception into an answer that says in which env it arose; plain text, so that it always travels."""
+    """Turn an exception of an env into an answer; plain text, since exceptions may not pickle."""
     text = "".join(traceback.format_exception(error))
     return FAILURE + pickle.dumps((index, type(error).__name__, str(error), text))
 
