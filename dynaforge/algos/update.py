@@ -63,7 +63,6 @@ class UpdateReport:
         clip_fraction: Share of ratios outside the clip range.
         n_epochs: Epochs begun.
         optimizer_steps: Steps taken.
-        stopped_early: Whether target_kl ended the update.
         learning_rate: What the optimizer worked with.
         std: Mean exploration noise after the update; None for a policy without sigma.
     """
@@ -74,7 +73,6 @@ class UpdateReport:
     clip_fraction: float
     n_epochs: int
     optimizer_steps: int
-    stopped_early: bool
     learning_rate: float
     std: float | None
 
@@ -145,7 +143,6 @@ def update_policy(
         clip_fraction=outside,
         n_epochs=epochs,
         optimizer_steps=steps,
-        stopped_early=stopped,
         learning_rate=settings.learning_rate,
         std=th.exp(policy.log_std).mean().item() if hasattr(policy, "log_std") else None,
     )

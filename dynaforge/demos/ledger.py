@@ -23,7 +23,7 @@ class Ledger:
     """An append-only file of attempts, one JSON line each; any number of processes may write to it.
 
     A line is one O_APPEND write and ends with its own checksum. A line torn by a kill or altered later is left out
-    on reading, and counted in `damaged_lines`.
+    on reading, and counted by `read`.
     """
 
     def __init__(self, path: str | Path, *, fsync: bool = True) -> None:
@@ -70,12 +70,8 @@ class Ledger:
         """
         return self.read()[0]
 
-    def damaged_lines(self) -> list[int]:
-        """Return the numbers, from 1, of the lines that were torn or altered; raises as `attempts`."""
-        return self.read()[1]
-
     def read(self) -> tuple[list[Attempt], list[int]]:
-        """Return `attempts` and `damaged_lines` of one reading."""
+        """Return `attempts`, and the numbers, from 1, of the lines that were torn or altered; raises as `attempts`."""
         found: dict[str, Attempt] = {}
         damaged: list[int] = []
         for number, line in enumerate(self._lines(), 1):

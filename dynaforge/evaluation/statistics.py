@@ -150,21 +150,6 @@ class BootstrapDifference:
     resamples: int
 
 
-def bootstrap_over(
-    a: ArrayLike, b: ArrayLike, *, rng: np.random.Generator, resamples: int = 10_000, confidence: float = 0.95
-) -> BootstrapDifference:
-    """Compare two training algorithms: success rate of b minus that of a, over training seeds and conditions.
-
-    Args:
-        a, b: Success of training seed s on condition c, shapes (S_a, C) and (S_b, C).
-        rng: Where the resampling draws from.
-
-    Raises:
-        ValueError: The shapes do not fit, or the outcomes are not binary.
-    """
-    return bootstrap_over_tasks([(a, b)], rng=rng, resamples=resamples, confidence=confidence)
-
-
 def bootstrap_over_tasks(
     pairs: Sequence[tuple[ArrayLike, ArrayLike]], *, rng: np.random.Generator, resamples: int = 10_000,
     confidence: float = 0.95,
@@ -175,7 +160,7 @@ def bootstrap_over_tasks(
     conditions for both together since they are shared. Percentile interval.
 
     Args:
-        pairs: A pair (a, b) a task, as in `bootstrap_over`.
+        pairs: For each task (a, b), success of training seed s on condition c, shapes (S_a, C) and (S_b, C).
         rng: Where the resampling draws from.
 
     Raises:

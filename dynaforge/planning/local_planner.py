@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
-from dynaforge.geometry import Array, JointState, Pose, one_line
+from dynaforge.geometry import Array, JointState, one_line
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
@@ -62,11 +62,6 @@ class LocalPlanner:
     def reference(self) -> JointReference:
         """Where the command stands."""
         return self._reference
-
-    @property
-    def projected(self) -> Pose:
-        """`T_world_ee` of the reference: what the limits left of the last target."""
-        return self.kinematics.forward(self._reference.joints.q)
 
     def reset(self, q: Array, width: float) -> JointReference:
         """Put the reference at rest at joint positions q (rad, shape (7,)) and an opening (m).

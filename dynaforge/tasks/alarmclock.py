@@ -16,7 +16,6 @@ from dynaforge.tasks.targets import Above, Grip
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 BUTTON_RADIUS = 0.008
-BUTTON_HEIGHT = 0.120  # of its top face above the table, metres
 CLICK = 0.005  # of the button's 8 mm of travel, metres
 CLOSED = 0.005  # opening of a closed hand, metres, at most
 HOVER = 0.05

@@ -23,7 +23,7 @@ def test_ledger_gives_back_what_was_appended_once_each(tmp_path):
     for one in written:
         ledger.append(one)
     assert ledger.attempts() == written[:2]
-    assert ledger.damaged_lines() == []
+    assert ledger.read()[1] == []
 
 
 @pytest.mark.parametrize("torn", [1, 30, 250])
@@ -35,7 +35,7 @@ def test_torn_last_line_costs_only_itself(tmp_path, torn):
     assert ledger.attempts() == [attempt(0), attempt(1)] + ([attempt(2)] if torn == 1 else [])
     ledger.append(attempt(3))
     assert ledger.attempts()[-1] == attempt(3)
-    assert ledger.damaged_lines() == ([] if torn == 1 else [3])
+    assert ledger.read()[1] == ([] if torn == 1 else [3])
 
 
 def test_altered_ledger_line_does_not_count(tmp_path):
@@ -44,7 +44,7 @@ def test_altered_ledger_line_does_not_count(tmp_path):
     ledger.append(attempt(1))
     ledger.path.write_bytes(ledger.path.read_bytes().replace(b'"checkpoint": 4', b'"checkpoint": 5', 1))
     assert ledger.attempts() == [attempt(1)]
-    assert ledger.damaged_lines() == [1]
+    assert ledger.read()[1] == [1]
 
 
 def test_dgr_counts_every_attempt_and_keeps_successes_only(tmp_path):

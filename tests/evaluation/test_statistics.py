@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from dynaforge.evaluation import bootstrap_over_tasks, mcnemar_exact, paired_difference, wilson_interval
-from dynaforge.evaluation.statistics import bootstrap_over, no_bin_lost, wilson_bounds
+from dynaforge.evaluation.statistics import BootstrapDifference, no_bin_lost, wilson_bounds
+
+
+def bootstrap_over(a: Any, b: Any, **options: Any) -> BootstrapDifference:
+    return bootstrap_over_tasks([(a, b)], **options)
 
 
 def pairs(both: int, only_a: int, only_b: int, neither: int) -> tuple[list[int], list[int]]:

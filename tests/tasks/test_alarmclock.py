@@ -10,9 +10,10 @@ from hand_made import view
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Pose
 from dynaforge.sim import BodyState, Condition, SceneState, SimScene
-from dynaforge.tasks.alarmclock import BUTTON_HEIGHT, BUTTON_RADIUS, CLICK, CONDITIONS, TASK, launch
+from dynaforge.tasks.alarmclock import BUTTON_RADIUS, CLICK, CONDITIONS, TASK, launch
 from dynaforge.tasks.targets import DOWN_ALONG_Y
 
+BUTTON_HEIGHT = 0.120  # of its top face above the table, metres
 DRAWN = [CONDITIONS.draw(np.random.default_rng((5, k)), k % 8, 8) for k in range(64)]
 SUCCESS = TASK.phases[-1].done
 
