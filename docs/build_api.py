@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import sys
 import warnings
-from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import get_type_hints
 
 import pdoc
 import pdoc.render
@@ -28,19 +26,10 @@ def build(out: Path) -> None:
     warnings.simplefilter("error", UserWarning)
     for module in map(import_module, MODULES):
         for name in module.__all__:
-            public = getattr(module, name)  # which also makes a lazy name visible to pdoc
-            if not public.__doc__:
+            if not getattr(module, name).__doc__:  # resolving it also makes a lazy name visible to pdoc
                 raise ValueError(f"{module.__name__}.{name} has no docstring.")
-            if is_dataclass(public) and isinstance(public, type):
-                _resolve_types(public)
     pdoc.render.configure(docformat="google", show_source=False)
     pdoc.pdoc(*MODULES, output_directory=out)
-
-
-def _resolve_types(public: type) -> None:
-    """Give the constructor of a dataclass its types: pdoc looks for inherited ones in the wrong module."""
-    hints = get_type_hints(public)
-    public.__init__.__annotations__.update({f.name: hints[f.name] for f in fields(public) if f.init})
 
 
 if __name__ == "__main__":
