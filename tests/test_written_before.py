@@ -213,7 +213,7 @@ def test_a_forge_that_was_killed_goes_on_to_the_same_end(forge: Path, capsys: py
         (forge / name).unlink()
     shutil.rmtree(forge / "demos")
     assert main([*FORGE, str(forge)]) == 0
-    assert "going on after 3 updates" in capsys.readouterr().out
+    assert "resuming after 3 updates" in capsys.readouterr().out
     assert MlpPolicyFile.load(forge / "policy.safetensors", task="can").digest == POLICY
     history = TrainingHistory.load(forge / "history.json")
     for name in ("successes", "trials", "groups", "timesteps", "optimizer_steps", "transitions_used"):

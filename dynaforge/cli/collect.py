@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"policy {policy}: {options.policy or 'the one shipped for this task'}")
     started, found = time.monotonic(), len(dataset.attempts())
     if found:
-        print(f"{out} holds {found} attempts; going on")
+        print(f"{out} holds {found} attempts; resuming")
     source, problem = Source(options.seed, options.shard), ""
     with Tally(goal) as tally:
         try:
@@ -43,16 +43,16 @@ def run(options: argparse.Namespace) -> int:
                 on_attempt=tally.add,
             )
         except KeyboardInterrupt:
-            print(f"\nstopped with {tally}; the same command goes on")
+            print(f"\nstopped with {tally}; the same command resumes")
             return 130
         except GaveUp as error:
-            problem = f"{error}. Another --policy may win; --give-up-after N goes on for N of them, 0 without end"
+            problem = f"{error}. Another --policy may win; --give-up-after N allows N of them, 0 any number"
     minutes = (time.monotonic() - started) / 60
     print(f"{tally}, DGR {tally.rate:.1%}; {out}, {minutes:.1f} minutes")
     if not problem and goal.demos is not None and tally.successes < goal.demos:
         problem = (
             f"Only {tally.successes} of {goal.demos} demonstrations in {goal.attempts} attempts; "
-            f"{describe_counts(tally.reasons)}. With more --attempts the same command goes on"
+            f"{describe_counts(tally.reasons)}. With more --attempts the same command resumes"
         )
     if problem:
         print(f"dynaforge collect: {problem}.", file=sys.stderr)

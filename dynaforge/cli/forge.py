@@ -40,11 +40,11 @@ def run(options: argparse.Namespace) -> int:
     folder = ForgeFolder.of(options.out, _identity(task, options))
     out = folder.path
     if folder.resumed:
-        print(f"{out} holds this run{': finished' if folder.finished else ' in part: going on'}")
+        print(f"{out} holds this run{': finished' if folder.finished else ' in part: resuming'}")
 
-    print(f"[1/5] the planner alone, {options.attempts} fresh conditions")
+    print(f"[1/5] the planner only, {options.attempts} fresh conditions")
     before = folder.stage("planner", lambda: _measured(task, [PlannerOnly()], "val", options))
-    print(f"      it wins {np.mean([attempt.success for attempt in _attempts(before)[0]]):.0%}")
+    print(f"      success {np.mean([attempt.success for attempt in _attempts(before)[0]]):.0%}")
 
     seconds = 60 * options.budget * (1 - MEASURING_SHARE) - before["seconds"]
     print(f"[2/5] training with {options.algo}, {seconds / 60:.1f} minutes at most (Ctrl-C keeps what it has)")
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if trained.interrupted:
         print(f"interrupted after {len(trained.history)} updates; policy saved: {out / POLICY}")
-        print("the same command goes on")
+        print("the same command resumes")
         return 130
 
     print(f"[3/5] planner and residual on {options.attempts} other fresh conditions")

@@ -1,4 +1,4 @@
-"""A bar that tells how collecting goes."""
+"""A progress bar of attempts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from dynaforge.generators.giving_up import describe_counts
 
 
 class Tally:
-    """Counts attempts and shows a bar: how many won, and what the others failed with most."""
+    """Counts attempts and shows a bar: how many succeeded, and the commonest reasons of the failures."""
 
     def __init__(self, goal: Goal, *, leave: bool = True) -> None:
         self.successes = self.attempts = 0
         self.reasons: Counter[str] = Counter()
-        self._by_wins = goal.demos is not None
+        self._counts_demos = goal.demos is not None
         # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
         self._bar: tqdm[Any] = tqdm(
-            total=goal.demos or goal.attempts, unit="demo" if self._by_wins else "attempt", leave=leave,
+            total=goal.demos or goal.attempts, unit="demo" if self._counts_demos else "attempt", leave=leave,
             smoothing=0.05, miniters=0, mininterval=0.5,
         )  # fmt: skip
 
@@ -46,4 +46,4 @@ class Tally:
             self.reasons[attempt.failure] += 1
         failed = f"; failed: {describe_counts(self.reasons, n=2, longest=40)}" if self.reasons else ""
         self._bar.set_postfix_str(f"DGR {self.rate:.0%} of {self.attempts}{failed}", refresh=False)
-        self._bar.update(int(attempt.success) if self._by_wins else 1)
+        self._bar.update(int(attempt.success) if self._counts_demos else 1)

@@ -55,7 +55,7 @@ def train(
         counting = {} if algo == "ppo" else {"timesteps": "gated"}
         training = StoredTraining(path, task, env, algo=algo, seed=seed, **counting)
         if training.resumed:
-            print(f"      going on after {len(training.history)} updates")
+            print(f"      resuming after {len(training.history)} updates")
         limit = TimeLimit(training.history, seconds=seconds, updates=updates)
 
         def save() -> MlpPolicyFile:

@@ -67,7 +67,7 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
     process.terminate()
     said, _ = process.communicate(timeout=20)
     assert process.returncode == 130
-    assert "the same command goes on" in said
+    assert "the same command resumes" in said
     deadline = time.monotonic() + 10
     while _alive(process.pid) and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -121,7 +121,7 @@ def test_collect_says_what_it_holds_and_refuses_another_policy(
     assert main(asked) == 0
     assert main(asked) == 0
     printed = capsys.readouterr().out
-    assert "holds 2 attempts; going on" in printed
+    assert "holds 2 attempts; resuming" in printed
     assert "in 2 attempts, DGR" in printed
     noted = DemonstrationDataset(tmp_path).sources()["planner_only"]
     other = {"planner_only": {"policy": "another", "task_definition": noted.task_definition}}
