@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, shown
+from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, quoted
 from dynaforge.tasks.outcome import STORED, Outcome
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -34,7 +34,7 @@ def episode_id(condition: Condition, generator: str) -> str:
 def check_generator_name(name: Any) -> None:
     """Raise ValueError unless a generator's name fits into a file name."""
     if not isinstance(name, str) or not _GENERATOR_NAME.fullmatch(name):
-        raise ValueError(f"Generator name {shown(name)} must consist of letters, digits, '.', '_' and '-'.")
+        raise ValueError(f"Generator name {quoted(name)} must consist of letters, digits, '.', '_' and '-'.")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

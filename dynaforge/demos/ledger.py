@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dynaforge.demos.episode import Attempt
 from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
-from dynaforge.files.atomic import naming
+from dynaforge.files.atomic import errors_naming
 from dynaforge.sim.checks import check_flag, check_kind
 
 LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
@@ -45,7 +45,7 @@ class Ledger:
             # A writer that was killed may have left half a line: begin a fresh one. A superfluous break is harmless.
             if size and os.pread(descriptor, 1, size - 1) != b"\n":
                 line = b"\n" + line
-            with naming(self.path):
+            with errors_naming(self.path):
                 if os.write(descriptor, line) != len(line):
                     raise OSError(errno.ENOSPC, "only part of a ledger line could be written")
                 if self.fsync:

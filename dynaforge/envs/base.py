@@ -13,7 +13,7 @@ from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.camera import Visuals, film_camera
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
 RenderMode = Literal["rgb_array", "human"]
@@ -108,4 +108,4 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 def check_choice(name: str, value: str | None, known: tuple[str | None, ...]) -> None:
     """Raise ValueError unless `value` is one of `known`."""
     if not isinstance(value, (str, type(None))) or value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {shown(value)}.")
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {quoted(value)}.")

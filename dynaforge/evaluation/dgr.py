@@ -17,7 +17,7 @@ from dynaforge.evaluation.statistics import Interval, PairedDifference, wilson_i
 
 
 class AttemptRecord(Protocol):
-    """What a report needs to know of an attempt; `dynaforge.demos.Attempt` and `Trial` fit."""
+    """What a report needs to know of an attempt; `dynaforge.demos.Attempt` and `CountedAttempt` fit."""
 
     @property
     def difficulty(self) -> float:
@@ -37,7 +37,7 @@ class AttemptRecord(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class CountedAttempt:
     """A bare `AttemptRecord`, for attempts that are only counted."""
 
     difficulty: float

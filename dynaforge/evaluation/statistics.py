@@ -188,35 +188,36 @@ def _weights(n: int, resamples: int, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class BinComparison:
-    """Whether a change cost any difficulty bin.
+    """A change, judged in each difficulty bin.
 
     Attributes:
         bins: Paired difference (after minus before) of each bin, easiest first.
-        lost: Indices of the bins whose whole interval lies below minus the margin.
+        worse: Indices of the bins that are worse beyond the margin: their whole interval lies below minus it.
     """
 
     bins: tuple[PairedDifference, ...]
-    lost: tuple[int, ...]
+    worse: tuple[int, ...]
 
     @property
     def holds(self) -> bool:
-        """True if no bin was lost."""
-        return not self.lost
+        """True if no bin is worse."""
+        return not self.worse
 
 
-def no_bin_lost(
+def no_bin_worse(
     before: Sequence[ArrayLike] | ArrayLike,
     after: Sequence[ArrayLike] | ArrayLike,
     *,
     margin: float = 0.10,
     confidence: float = 0.95,
 ) -> BinComparison:
-    """Check that no difficulty bin was lost: none has its whole interval of the difference below -10 points.
+    """Check that no difficulty bin is worse: none has the whole interval of its difference below minus the margin.
 
     Args:
         before, after: Success on the same conditions, one row per bin, shape (8, 100) by the protocol; rows may
             also differ in length.
-        margin: What a bin may lose, as a rate.
+        margin: By how much a bin may be worse, as a rate; 10 points by default.
+        confidence: Two-sided confidence of the intervals.
 
     Raises:
         ValueError: Rows do not pair up.

@@ -29,7 +29,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> N
     final = Path(path)
     temporary = final.with_name(f".{uuid.uuid4().hex}{_TEMPORARY}{final.suffix}")
     try:
-        with naming(final):
+        with errors_naming(final):
             if callable(content):
                 content(temporary)
                 _sync(temporary, os.O_RDWR)
@@ -43,7 +43,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> N
 
 
 @contextlib.contextmanager
-def naming(path: Path) -> Iterator[None]:
+def errors_naming(path: Path) -> Iterator[None]:
     """Give errors of calls that know a descriptor only, such as "No space left on device", the name of the file."""
     try:
         yield

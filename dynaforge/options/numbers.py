@@ -7,7 +7,7 @@ import re
 
 from dynaforge.algos.options import LARGEST_SEED
 from dynaforge.options.refusal import Refused, shortened
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 
 LARGEST_COUNT = 10**9  # of anything that is counted; more is a slip of the finger
 
@@ -21,7 +21,7 @@ class WholeNumber:
     def __call__(self, text: str) -> int:
         """Return the number that a text means."""
         if not re.fullmatch(r"[+-]?[0-9]+", text):
-            raise Refused(f"is {shown(text)}; it must be a whole number of at least {self.minimum}.")
+            raise Refused(f"is {quoted(text)}; it must be a whole number of at least {self.minimum}.")
         digits = text.lstrip("+-0") or "0"
         # Python converts at most 4300 digits; any value beyond the limits stands for a number that long.
         value = int(text) if len(digits) < 30 else LARGEST_COUNT**4 * (-1 if text[0] == "-" else 1)
@@ -44,7 +44,7 @@ class Number:
     def __call__(self, text: str) -> float:
         """Return the number that a text means."""
         if not re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text) or math.isinf(float(text)):
-            raise Refused(f"is {shown(text)}; it must be a finite number.")
+            raise Refused(f"is {quoted(text)}; it must be a finite number.")
         value = float(text)
         if value < self.minimum:
             raise Refused(f"is {shortened(text)}; it must be at least {self.minimum:g}.")
@@ -59,7 +59,7 @@ def shard(text: str) -> tuple[int, int]:
     """Return (I, N) of "I/N", which means every Nth item from the I-th on, I from 0."""
     found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
     if not found or int(found[1]) >= int(found[2]):
-        raise Refused(f"{shown(text)} is no shard; write 0/4, 1/4, 2/4 or 3/4 for a quarter.")
+        raise Refused(f"{quoted(text)} is no shard; write 0/4, 1/4, 2/4 or 3/4 for a quarter.")
     return int(found[1]), int(found[2])
 
 
@@ -70,4 +70,4 @@ def minutes(text: str) -> float:
     try:
         return Number(above=0, maximum=LARGEST_COUNT)(number) * unit
     except Refused:
-        raise Refused(f"{shown(text)} is no span of time; write 90s, 10m or 1.5h.") from None
+        raise Refused(f"{quoted(text)} is no span of time; write 90s, 10m or 1.5h.") from None

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from dynaforge.sim.checks import close_match, shown
+from dynaforge.sim.checks import close_match, quoted
 
 
 class Parser(argparse.ArgumentParser):
@@ -35,7 +35,9 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             given = unknown[0].partition("=")[0]
             hint = close_match(given, self._option_string_actions) or f" `{self.prog} --help` lists them."
-            raise ValueError(f"No option {shown(given)}.{hint}" if given[:1] == "-" else f"What is {shown(given)} for?")
+            raise ValueError(
+                f"No option {quoted(given)}.{hint}" if given[:1] == "-" else f"What is {quoted(given)} for?"
+            )
         return options
 
     def error(self, message: str) -> NoReturn:
@@ -51,7 +53,7 @@ class Distinct(argparse.Action):
     ) -> None:
         """Store them."""
         if twice := [value for k, value in enumerate(values) if value in values[:k]]:
-            raise argparse.ArgumentError(self, f"names {shown(str(twice[0]))} twice.")
+            raise argparse.ArgumentError(self, f"names {quoted(str(twice[0]))} twice.")
         setattr(namespace, self.dest, values)
 
 

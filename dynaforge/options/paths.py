@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from dynaforge.options.refusal import Refused, shortened
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 
 Kind = Literal["file", "folder"]
 
@@ -64,9 +64,9 @@ class OutputPath:
 
     def _check_name(self, text: str) -> None:
         if any("\udc80" <= letter <= "\udcff" for letter in text):  # how Python carries bytes that are no text
-            raise Refused(f"is {shown(text)}, no text in this locale; choose another, or set LC_ALL=C.UTF-8.")
+            raise Refused(f"is {quoted(text)}, no text in this locale; choose another, or set LC_ALL=C.UTF-8.")
         if not text.isprintable():
-            raise Refused(f"is {shown(text)}; a name with control characters makes no good {self.kind}.")
+            raise Refused(f"is {quoted(text)}; a name with control characters makes no good {self.kind}.")
 
     def _check_existing(self, path: Path, mode: int) -> None:
         if self.new:
@@ -94,13 +94,13 @@ class OutputPath:
 
 def _path(text: str) -> Path:
     if not text or "\0" in text:
-        raise Refused(f"is {shown(text)}; it must be a path.")
+        raise Refused(f"is {quoted(text)}; it must be a path.")
     return Path(text)
 
 
 def _quoted_path(text: str) -> str:
     """Return a path as a message may name it."""
-    return text if text.isprintable() and len(text) < 1000 else shown(text)
+    return text if text.isprintable() and len(text) < 1000 else quoted(text)
 
 
 def _mode(path: Path) -> int | None:

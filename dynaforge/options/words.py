@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from dynaforge.options.refusal import Refused
-from dynaforge.sim.checks import close_match, shown
+from dynaforge.sim.checks import close_match, quoted
 
 FILE_NAME_PART = r"[A-Za-z0-9][A-Za-z0-9_.-]*"
 """Pattern of what becomes part of a file's name."""
@@ -23,7 +23,7 @@ class Choice:
         """Return the name."""
         if text not in self.names:
             hint = close_match(text, self.names)
-            raise Refused(f": No {self.what} {shown(text)}.{hint} Known are {', '.join(self.names)}.")
+            raise Refused(f": No {self.what} {quoted(text)}.{hint} Known are {', '.join(self.names)}.")
         return text
 
 
@@ -42,5 +42,5 @@ class Text:
     def __call__(self, text: str) -> str:
         """Return the text."""
         if len(text) > self.longest or not re.fullmatch(self.pattern, text):
-            raise Refused(f"is {shown(text)}; it must be {self.what}.")
+            raise Refused(f"is {quoted(text)}; it must be {self.what}.")
         return text

@@ -12,7 +12,7 @@ from typing import Any
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference, paired_difference
 from dynaforge.evaluation.dgr import describe_gain
-from dynaforge.evaluation.statistics import no_bin_lost
+from dynaforge.evaluation.statistics import no_bin_worse
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.tasks import Task
@@ -78,7 +78,7 @@ def gains_over_first(task: Task, measured: Measured) -> list[Gain]:
         runs = [[attempt.success for attempt in attempts] for attempts in (before, after)]
         worse = None
         if _evenly_spread(task, before):
-            worse = tuple(no_bin_lost(*[[run[k::BINS] for k in range(BINS)] for run in runs]).lost)
+            worse = tuple(no_bin_worse(*[[run[k::BINS] for k in range(BINS)] for run in runs]).worse)
         gains.append(Gain(name, first, paired_difference(*runs), worse))
     return gains
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose, one_line
-from dynaforge.sim.checks import check_choice, check_flag, check_name, check_number, check_numbers, is_whole, shown
+from dynaforge.sim.checks import check_choice, check_flag, check_name, check_number, check_numbers, is_whole, quoted
 
 if TYPE_CHECKING:
     from dynaforge.sim.bullet_scene import BulletScene
@@ -103,7 +103,7 @@ class Camera:
             ValueError: A field is missing or unknown.
         """
         if not isinstance(data, Mapping):
-            raise ValueError(f"No camera: {shown(data)} is no mapping with name, eye and look_at.")
+            raise ValueError(f"No camera: {quoted(data)} is no mapping with name, eye and look_at.")
         try:
             values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
             return Camera(**values)
@@ -147,7 +147,7 @@ def film_camera(view: tuple[Point, Point]) -> Camera:
     return Camera("film", eye, look_at, size=(480, 360), fov=45.0, near=0.05, far=8.0)
 
 
-def see(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
+def take_image(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
     """Take an image of the scene as it is now, as `SimScene.image`.
 
     Args:

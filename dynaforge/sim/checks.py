@@ -24,7 +24,7 @@ _SPELLING = reprlib.Repr()
 _SPELLING.maxstring = _SPELLING.maxother = _SPELLING.maxlong = 80
 
 
-def shown(value: Any) -> str:
+def quoted(value: Any) -> str:
     """Spell a value out for a message, on one line and cut short."""
     try:
         text = " ".join(_SPELLING.repr(value).split())
@@ -48,25 +48,25 @@ def check_number(
     if not good:
         bounds = [f"above {above:g}"] if above > -math.inf else [f"of at least {least:g}"] if least > -math.inf else []
         bounds += [f"at most {most:g}"] if most < math.inf else []
-        raise ValueError(f"{what} is {shown(value)}; it must be a finite number {' and '.join(bounds)}".rstrip() + ".")
+        raise ValueError(f"{what} is {quoted(value)}; it must be a finite number {' and '.join(bounds)}".rstrip() + ".")
 
 
 def check_whole(what: str, value: Any, *, least: int) -> None:
     """Raise ValueError unless the value is a whole number of at least `least`."""
     if not is_whole(value) or value < least:
-        raise ValueError(f"{what} is {shown(value)}; it must be a whole number of at least {least}.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be a whole number of at least {least}.")
 
 
 def check_flag(what: str, value: Any) -> None:
     """Raise ValueError unless the value is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{what} is {shown(value)}; it must be True or False.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be True or False.")
 
 
 def check_text(what: str, value: Any) -> None:
     """Raise ValueError unless the value is a text of one line that is not empty."""
     if not isinstance(value, str) or not value.strip() or _CONTROL.search(value):
-        raise ValueError(f"{what} is {shown(value)}; it must be a text of one line.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be a text of one line.")
 
 
 def check_name(what: str, value: Any, *, taken: Iterable[str] = ()) -> None:
@@ -75,7 +75,7 @@ def check_name(what: str, value: Any, *, taken: Iterable[str] = ()) -> None:
         better = re.sub(r"[^A-Za-z0-9-]+", "_", value).strip("_-0123456789") if isinstance(value, str) else ""
         hint = f" {better!r} would do." if _NAME.fullmatch(better) else ""
         raise ValueError(
-            f"{what} is {shown(value)}; it must consist of letters, digits, '_' and '-' and begin with a letter.{hint}"
+            f"{what} is {quoted(value)}; it must consist of letters, digits, '_' and '-' and begin with a letter.{hint}"
         )
     if value in taken:
         raise ValueError(f"{what} is {value!r}, which is taken; choose another.")
@@ -93,7 +93,7 @@ def check_choice(what: str, value: Any, known: Iterable[str]) -> None:
     known = list(map(str, known))  # members of a StrEnum among them
     if not isinstance(value, str) or value not in known:
         raise ValueError(
-            f"{what} is {shown(value)}; known are {', '.join(map(repr, known))}.{close_match(value, known)}"
+            f"{what} is {quoted(value)}; known are {', '.join(map(repr, known))}.{close_match(value, known)}"
         )
 
 
@@ -101,7 +101,7 @@ def check_numbers(what: str, value: Any, n: int, *, least: float = -math.inf) ->
     """Raise ValueError unless the value is a row of n finite numbers of at least `least`."""
     row = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(row, (tuple, list)) or len(row) != n:
-        raise ValueError(f"{what} is {shown(value)}; it must be {n} numbers.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be {n} numbers.")
     for k, number in enumerate(row):
         check_number(f"{what}[{k}]", number, least=least)
 
@@ -112,14 +112,14 @@ def check_kind(what: str, value: Any, kind: type | tuple[type, ...]) -> None:
     if not isinstance(value, kinds):
         words = (_IN_WORDS.get(k.__name__, k.__name__) for k in kinds)
         names = ["None" if word == "NoneType" else f"{'an' if word[0] in 'AEIOaeio' else 'a'} {word}" for word in words]
-        raise ValueError(f"{what} is {shown(value)}; it must be {' or '.join(names)}.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be {' or '.join(names)}.")
 
 
 def check_tuple(what: str, value: Any, kind: type) -> tuple[Any, ...]:
     """Return the value, a tuple or list of instances of a class, as a tuple; raise ValueError otherwise."""
     if not isinstance(value, (tuple, list)):
         hint = f"; a lone one needs its comma: ({kind.__name__}(...),)" if isinstance(value, kind) else ""
-        raise ValueError(f"{what} is {shown(value)}; it must be a tuple of {kind.__name__}{hint}.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be a tuple of {kind.__name__}{hint}.")
     for k, item in enumerate(value):
         check_kind(f"{what}[{k}]", item, kind)
     return tuple(value)
@@ -130,7 +130,7 @@ def check_callable(what: str, value: Any, *, such_as: str) -> None:
     if isinstance(value, type):
         raise ValueError(f"{what} is the class {value.__name__}; give an instance of it, {value.__name__}(...).")
     if not callable(value):
-        raise ValueError(f"{what} is {shown(value)}; it must be {such_as}.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be {such_as}.")
 
 
 def check_pose(what: str, value: Any) -> None:
@@ -139,7 +139,7 @@ def check_pose(what: str, value: Any) -> None:
     rotation = finite_array(f"{what}.rotation", value.rotation, (3, 3))
     finite_array(f"{what}.position", value.position, (3,))
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0.0:
-        raise ValueError(f"{what}.rotation is {shown(rotation.tolist())}, which is no rotation matrix.")
+        raise ValueError(f"{what}.rotation is {quoted(rotation.tolist())}, which is no rotation matrix.")
 
 
 def finite_array(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -149,7 +149,7 @@ def finite_array(what: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{what} is {shown(value)}; it must be finite numbers of shape {shape}.")
+        raise ValueError(f"{what} is {quoted(value)}; it must be finite numbers of shape {shape}.")
     return array
 
 

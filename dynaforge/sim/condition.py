@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from dynaforge.sim.checks import check_kind, check_name, check_whole, is_number, shown
+from dynaforge.sim.checks import check_kind, check_name, check_whole, is_number, quoted
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ class Condition:
         check_whole("Condition: seed", self.seed, least=0)
         check_kind("Condition: values", self.values, Mapping)
         if not is_number(self.difficulty):
-            raise ValueError(f"Condition: difficulty is {shown(self.difficulty)}; it must be a number.")
+            raise ValueError(f"Condition: difficulty is {quoted(self.difficulty)}; it must be a number.")
         for name, value in self.values.items():  # whether it is in range its space says
             if not isinstance(name, str) or not is_number(value):
                 raise ValueError(
-                    f"Condition: values[{shown(name)}] is {shown(value)}; it must be a number with a name."
+                    f"Condition: values[{quoted(name)}] is {quoted(value)}; it must be a number with a name."
                 )
         # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
         object.__setattr__(self, "seed", int(self.seed))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dynaforge.geometry import Array, one_line
-from dynaforge.sim.checks import check_kind, check_number, check_text, check_tuple, finite_array, shown
+from dynaforge.sim.checks import check_kind, check_number, check_text, check_tuple, finite_array, quoted
 
 HAND_WIDTH = 0.08  # metres that the hand opens
 ELBOW = 2
@@ -60,13 +60,13 @@ class RobotDescription:
         check_kind("RobotDescription: urdf", self.urdf, (str, Path))
         for name, n in (("arm_joints", 7), ("finger_joints", 2)):
             if len(check_tuple(f"RobotDescription: {name}", getattr(self, name), str)) != n:
-                raise ValueError(f"RobotDescription: {name} is {shown(getattr(self, name))}; it must be {n} names.")
+                raise ValueError(f"RobotDescription: {name} is {quoted(getattr(self, name))}; it must be {n} names.")
         check_text("RobotDescription: ee_link", self.ee_link)
         for name in ("q_lower", "q_upper", "q_ready", "dq_max", "ddq_max", "dddq_max", "effort_max"):
             values = finite_array(f"RobotDescription: {name}", getattr(self, name), (7,))
             object.__setattr__(self, name, values)
             if "max" in name and (values <= 0.0).any():
-                raise ValueError(f"RobotDescription: {name} is {shown(values.tolist())}; limits are above 0.")
+                raise ValueError(f"RobotDescription: {name} is {quoted(values.tolist())}; limits are above 0.")
         if not (self.q_lower < self.q_upper).all():
             raise ValueError("RobotDescription: q_lower is not below q_upper in every joint.")
         for name in ("stop_speed", "width_max", "finger_speed_max", "grip_force"):

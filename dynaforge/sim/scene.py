@@ -12,7 +12,7 @@ from dynaforge.geometry import Array, Pose
 from dynaforge.sim.bullet import pose_of
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.bullet_scene import load_scene
-from dynaforge.sim.camera import Camera, Image, Visuals, see, take_picture
+from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_picture
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.robot import RobotDescription, franka
@@ -251,7 +251,7 @@ class SimScene:
 
         The scene needs its visuals.
         """
-        return see(self._bullet, camera, self._ee_pose())
+        return take_image(self._bullet, camera, self._ee_pose())
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
         """Return what a camera sees now as films show it: RGB with shadows, shape (H, W, 3).

@@ -17,7 +17,7 @@ from dynaforge.sim.checks import (
     check_tuple,
     check_whole,
     close_match,
-    shown,
+    quoted,
 )
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.starts import Drive, Launch, Placement
@@ -88,7 +88,7 @@ class FixtureSpec:
         for urdf in self.urdfs:
             links, joints = _read(what, urdf)
             if self.link not in links:
-                raise ValueError(f"{what}: {urdf} has no link {shown(self.link)}; it has {sorted(links)}.")
+                raise ValueError(f"{what}: {urdf} has no link {quoted(self.link)}; it has {sorted(links)}.")
             for joint in moved:
                 if joint not in joints:
                     raise ValueError(f"{what}: {urdf} has no joint {joint!r}; it has {sorted(joints)}.")

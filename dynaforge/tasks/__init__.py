@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 from dynaforge.tasks.conditions import STREAMS, ConditionSpace
 from dynaforge.tasks.outcome import Outcome
 from dynaforge.tasks.task import FRAMES, Frame, Mode, Phase, ResidualSpec, Task
@@ -51,7 +51,7 @@ def get_task(given: str) -> Task:
     """
     if not isinstance(given, str):
         raise ValueError(
-            f"No task {shown(given)}: give a task's name, such as 'can', or a task file, such as 'ball.py'."
+            f"No task {quoted(given)}: give a task's name, such as 'can', or a task file, such as 'ball.py'."
         )
     if given.endswith(".py"):
         return task_of_file(Path(given).resolve())

@@ -23,7 +23,7 @@ from dynaforge.geometry import (
     rotvec_from_matrix,
 )
 from dynaforge.sim import HandTarget
-from dynaforge.sim.checks import check_flag, shown
+from dynaforge.sim.checks import check_flag, quoted
 from dynaforge.sim.robot import ELBOW
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
@@ -67,7 +67,7 @@ class ActionLayout:
             ("rotation", self.rotation, tuple(ROTATIONS)),
         ):
             if not isinstance(value, str) or value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {shown(value)}.")
+                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {quoted(value)}.")
         check_flag("elbow", self.elbow)
         if self.elbow and self.mode == "joint":
             raise ValueError("Joint positions settle the elbow: elbow=True goes with action_mode 'ee' only.")

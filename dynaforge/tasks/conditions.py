@@ -22,7 +22,7 @@ from dynaforge.sim.checks import (
     check_text,
     check_whole,
     is_whole,
-    shown,
+    quoted,
 )
 
 STREAMS = ("train", "val", "test")
@@ -56,7 +56,7 @@ class ConditionSpace:
             check_numbers(f"ConditionSpace: the range of {name!r}", ends, 2)
             if not ends[0] < ends[1]:
                 how = "empty; what never varies belongs into launch" if ends[0] == ends[1] else "reversed"
-                raise ValueError(f"ConditionSpace: the range {shown(ends)} of {name!r}, (low, high), is {how}.")
+                raise ValueError(f"ConditionSpace: the range {quoted(ends)} of {name!r}, (low, high), is {how}.")
         if not self.ranges:
             raise ValueError("ConditionSpace: ranges is empty; at least the difficulty has one.")
         check_choice("ConditionSpace: difficulty", self.difficulty, self.ranges)
@@ -96,7 +96,7 @@ class ConditionSpace:
         check_kind("rng", rng, np.random.Generator)
         check_whole("n_strata", n_strata, least=1)
         if stratum is not None and not (is_whole(stratum) and 0 <= stratum < n_strata):
-            raise ValueError(f"Stratum {shown(stratum)} does not exist among {n_strata}; use 0 to {n_strata - 1}.")
+            raise ValueError(f"Stratum {quoted(stratum)} does not exist among {n_strata}; use 0 to {n_strata - 1}.")
         unit = {name: float(rng.random()) for name in self.ranges}
         if stratum is not None:
             unit[self.difficulty] = (stratum + unit[self.difficulty]) / n_strata
@@ -145,7 +145,7 @@ class ConditionSpace:
             ValueError: Unknown stream, or no such block, strata or shard.
         """
         if not isinstance(stream, str) or stream not in STREAMS:
-            raise ValueError(f"No condition stream {shown(stream)}; known are {', '.join(STREAMS)}.")
+            raise ValueError(f"No condition stream {quoted(stream)}; known are {', '.join(STREAMS)}.")
         check_whole("block", block, least=0)
         if n_strata is not None:
             check_whole("n_strata", n_strata, least=1)
@@ -162,8 +162,8 @@ class ConditionSpace:
 def check_shard(shard: tuple[int, int]) -> None:
     """Raise ValueError unless a shard is (i, n) with 0 <= i < n."""
     if not isinstance(shard, (tuple, list)) or len(shard) != 2:
-        raise ValueError(f"shard is {shown(shard)}; it must be (i, n), of every n conditions the i-th.")
+        raise ValueError(f"shard is {quoted(shard)}; it must be (i, n), of every n conditions the i-th.")
     check_whole("shard: n", shard[1], least=1)
     check_whole("shard: i", shard[0], least=0)
     if shard[0] >= shard[1]:
-        raise ValueError(f"shard is {shown(shard)}; of {shard[1]} shards the last is {shard[1] - 1}.")
+        raise ValueError(f"shard is {quoted(shard)}; of {shard[1]} shards the last is {shard[1] - 1}.")

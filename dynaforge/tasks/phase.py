@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Any
 
-from dynaforge.sim.checks import check_callable, check_choice, check_flag, check_number, check_text, shown
+from dynaforge.sim.checks import check_callable, check_choice, check_flag, check_number, check_text, quoted
 from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.predicates.logic import PREDICATE_EXAMPLE
@@ -93,7 +93,7 @@ class Phase:
 def endings_of(what: str, given: Any) -> tuple[Ending, ...]:
     """Return (reason, predicate) pairs as they are; refuse anything else."""
     if not isinstance(given, (tuple, list)) or not all(isinstance(e, (tuple, list)) and len(e) == 2 for e in given):
-        raise ValueError(f'{what} is {shown(given)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
+        raise ValueError(f'{what} is {quoted(given)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
     for reason, predicate in given:
         check_text(f"{what}: a reason", reason)
         check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=PREDICATE_EXAMPLE)

@@ -16,7 +16,7 @@ from dynaforge.sim.checks import (
     check_text,
     check_tuple,
     check_whole,
-    shown,
+    quoted,
 )
 from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.sim.spec import SceneSpec
@@ -121,13 +121,13 @@ class Task:
     def _check_descriptions(self, what: str) -> None:
         if not isinstance(self.env_name, str) or not _ENV_NAME.fullmatch(self.env_name):
             raise ValueError(
-                f"{what}: env_name is {shown(self.env_name)}; it becomes part of an env id, as Can does of "
+                f"{what}: env_name is {quoted(self.env_name)}; it becomes part of an env id, as Can does of "
                 "DynaForge/Can-v0, and must consist of letters, digits and '_' and begin with a letter."
             )
         for name in ("skill", "motion", "randomisation", "goal", "instruction"):
             check_text(f"{what}: {name}", getattr(self, name))
         if not isinstance(self.camera, tuple) or len(self.camera) != 2:
-            raise ValueError(f"{what}: camera is {shown(self.camera)}; it must be (eye, look-at), three numbers each.")
+            raise ValueError(f"{what}: camera is {quoted(self.camera)}; it must be (eye, look-at), three numbers each.")
         for name, point in zip(("eye", "look-at"), self.camera, strict=True):
             check_numbers(f"{what}: camera, {name}", point, 3)
         if tuple(self.camera[0][:2]) == tuple(self.camera[1][:2]):
@@ -158,9 +158,11 @@ class Task:
         for phase in self.phases:
             place, aimed = f"Phase {phase.name!r}", getattr(phase.target, "object", None)
             if aimed is None:
-                raise ValueError(f"{place}: target {shown(phase.target)} has no `object`, the name of what it aims at.")
+                raise ValueError(
+                    f"{place}: target {quoted(phase.target)} has no `object`, the name of what it aims at."
+                )
             if aimed not in names:
-                raise ValueError(unknown(place, f"aims at {shown(aimed)}", aimed, names))
+                raise ValueError(unknown(place, f"aims at {quoted(aimed)}", aimed, names))
             words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
             for role, word in words.items():
                 check_word(place, role, word, names)

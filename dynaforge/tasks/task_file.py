@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, register_task
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 from dynaforge.tasks.task import Task
 from dynaforge.tasks.user_code import module_of_file
 
@@ -40,7 +40,7 @@ def _task_in(module: ModuleType, path: Path) -> Task:
     task = getattr(module, "TASK", None)
     if not isinstance(task, Task):
         others = [name for name, value in vars(module).items() if isinstance(value, Task)]
-        what = f"TASK is {shown(task)}" if task is not None else f"call {others[0]} so" if others else "it has none"
+        what = f"TASK is {quoted(task)}" if task is not None else f"call {others[0]} so" if others else "it has none"
         raise ValueError(f"{path} must define TASK, a Task: {what}.")
     return task
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dynaforge.geometry import Pose
-from dynaforge.sim.checks import check_numbers, close_match, is_number, shown
+from dynaforge.sim.checks import check_numbers, close_match, is_number, quoted
 from dynaforge.tasks.view import PhaseView
 
 Size = float  # a field of a word annotated so is 0 or more
@@ -34,7 +34,7 @@ def judge(place: str, role: str, predicate: Callable[..., Any], view: PhaseView,
     try:
         held = predicate(view, target)
         if not isinstance(held, (bool, np.bool_)):
-            raise TypeError(f"it says {shown(held)}, neither True nor False")
+            raise TypeError(f"it says {quoted(held)}, neither True nor False")
     except Exception as error:  # a task's own code: whatever it raises is told with its place
         raise ValueError(_told(place, role, predicate, view, error)) from error
     return bool(held)
@@ -49,9 +49,9 @@ def aim(place: str, target: Callable[..., Any], view: PhaseView) -> Pose:
     try:
         pose = target(view)
         if not isinstance(pose, Pose):
-            raise TypeError(f"it returns {shown(pose)}, no Pose")
+            raise TypeError(f"it returns {quoted(pose)}, no Pose")
         if not math.isfinite(np.vdot(pose.position, pose.position) + np.vdot(pose.rotation, pose.rotation)):
-            raise ValueError(f"it returns {shown(pose)}, which is not finite")
+            raise ValueError(f"it returns {quoted(pose)}, which is not finite")
     except Exception as error:  # a task's own code: whatever it raises is told with its place
         raise ValueError(_told(place, "target", target, view, error)) from error
     return pose
@@ -61,13 +61,13 @@ def _told(place: str, role: str, word: object, view: PhaseView, error: Exception
     state = view.state
     key = error.args[0] if isinstance(error, KeyError) and error.args else None
     if isinstance(key, str) and key not in state.objects:
-        return unknown(place, f"speaks of {key!r} in {role}, {shown(word)}", key, state.objects)
+        return unknown(place, f"speaks of {key!r} in {role}, {quoted(word)}", key, state.objects)
     if isinstance(key, str):
         return (
-            f"{place}: {role}, {shown(word)}, asks of {key!r} what is not measured of it: on_table is of free bodies "
+            f"{place}: {role}, {quoted(word)}, asks of {key!r} what is not measured of it: on_table is of free bodies "
             f"({_listed(state.on_table)}), pressed of fixtures with a spring ({_listed(state.pressed)})."
         )
-    return f"{place}: {role}, {shown(word)}, raised {type(error).__name__}: {error}."
+    return f"{place}: {role}, {quoted(word)}, raised {type(error).__name__}: {error}."
 
 
 def unknown(place: str, does: str, name: object, known: Mapping[str, Any] | tuple[str, ...]) -> str:
@@ -98,15 +98,15 @@ def check_word(place: str, role: str, word: object, names: tuple[str, ...]) -> N
             what = f"{place}: {role}, {type(part).__name__}: {field.name}"
             sized = kind.startswith("Size")  # or "Size | None"
             if (kind in ("float", "Size") or (sized and value is not None)) and not is_number(value):
-                raise ValueError(f"{what} is {shown(value)}; it must be a number.")
+                raise ValueError(f"{what} is {quoted(value)}; it must be a number.")
             if is_number(value) and (math.isnan(value) or (sized and value < 0)):
-                raise ValueError(f"{what} is {shown(value)}; it must be a number{' of at least 0' * sized}.")
+                raise ValueError(f"{what} is {quoted(value)}; it must be a number{' of at least 0' * sized}.")
             if kind == "tuple[float, float, float]":
                 check_numbers(what, value, 3)
             if isinstance(field.default, Enum) and not isinstance(value, type(field.default)):
-                raise ValueError(f"{what} is {shown(value)}; it must be a {kind}, such as {field.default!s}.")
+                raise ValueError(f"{what} is {quoted(value)}; it must be a {kind}, such as {field.default!s}.")
             if (kind == "ObjectName" or field.name == "object") and value not in names:
-                raise ValueError(unknown(place, f"speaks of {shown(value)} in {role}, {shown(part)}", value, names))
+                raise ValueError(unknown(place, f"speaks of {quoted(value)} in {role}, {quoted(part)}", value, names))
 
 
 def _parts(word: object, above: tuple[object, ...] = ()) -> Iterator[object]:

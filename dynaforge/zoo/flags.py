@@ -11,7 +11,7 @@ from typing import Any
 from dynaforge.options.parser import Parser
 from dynaforge.options.refusal import Refused
 from dynaforge.options.words import Choice
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 
 PLAYERS = ("enjoy", "record_video", "record_training")
 """Scripts of rl_zoo3 that load a trained model."""
@@ -114,7 +114,7 @@ class _PythonNumber:
             value = self.kind(text)
         except ValueError:
             what = "a whole number" if self.kind is int else "a number"
-            raise Refused(f"is {shown(text)}; it must be {what}.") from None
+            raise Refused(f"is {quoted(text)}; it must be {what}.") from None
         if self.positive and value < 1:
-            raise Refused(f"is {shown(text)}; it must be at least 1.")
+            raise Refused(f"is {quoted(text)}; it must be at least 1.")
         return value

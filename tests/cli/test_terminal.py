@@ -15,7 +15,7 @@ from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.evaluation import DgrReport, comparison_table
-from dynaforge.evaluation.dgr import Trial
+from dynaforge.evaluation.dgr import CountedAttempt
 from dynaforge.training.sparkline import sparkline
 
 
@@ -33,7 +33,7 @@ def printed(monkeypatch: pytest.MonkeyPatch, encoding: str, show: Callable[[], o
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
 def test_what_is_printed_shows_on_any_terminal(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
     report = DgrReport.from_attempts(
-        [Trial(0.2, True), Trial(0.8, False, "dropped")], difficulty_range=(0, 1), n_bins=2
+        [CountedAttempt(0.2, True), CountedAttempt(0.8, False, "dropped")], difficulty_range=(0, 1), n_bins=2
     )
 
     def show() -> None:

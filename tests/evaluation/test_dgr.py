@@ -6,14 +6,16 @@ import pytest
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, paired_difference, task_table
-from dynaforge.evaluation.dgr import Count, Trial
+from dynaforge.evaluation.dgr import Count, CountedAttempt
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome
 
 
-def trials() -> list[Trial]:
+def trials() -> list[CountedAttempt]:
     outcomes = [(0.0, True, 0), (0.1, True, 0), (0.9, False, 1), (1.0, False, 1), (0.5, True, 1), (0.45, False, 0)]
-    return [Trial(d, ok, "" if ok else ("dropped" if d > 0.8 else "timeout"), block) for d, ok, block in outcomes]
+    return [
+        CountedAttempt(d, ok, "" if ok else ("dropped" if d > 0.8 else "timeout"), block) for d, ok, block in outcomes
+    ]
 
 
 def test_every_attempt_is_in_the_denominator():
@@ -75,8 +77,10 @@ def test_no_attempts_make_no_report():
 
 def test_the_table_over_tasks_ends_with_the_mean_of_the_tasks() -> None:
     """Half of one task and all of another: three quarters, however many attempts each had."""
-    half = DgrReport.from_attempts([Trial(0.1, True), Trial(0.9, False, "slipped")], difficulty_range=(0, 1), label="p")
-    full = DgrReport.from_attempts([Trial(0.1, True)] * 6, difficulty_range=(0, 1), label="p")
+    half = DgrReport.from_attempts(
+        [CountedAttempt(0.1, True), CountedAttempt(0.9, False, "slipped")], difficulty_range=(0, 1), label="p"
+    )
+    full = DgrReport.from_attempts([CountedAttempt(0.1, True)] * 6, difficulty_range=(0, 1), label="p")
     *_, last = [line for line in task_table({"can": [half], "peg": [full]}).splitlines() if "mean" in line]
     assert "75.0%" in last
     assert " 8 " in last

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynaforge.evaluation import bootstrap_over_tasks, mcnemar_exact, paired_difference, wilson_interval
-from dynaforge.evaluation.statistics import BootstrapDifference, no_bin_lost, wilson_bounds
+from dynaforge.evaluation.statistics import BootstrapDifference, no_bin_worse, wilson_bounds
 
 
 def bootstrap_over(a: Any, b: Any, **options: Any) -> BootstrapDifference:
@@ -121,19 +121,19 @@ def test_bootstrap_repeats_with_its_generator():
     assert draws[0] == draws[1]
 
 
-def test_a_bin_is_lost_only_when_its_whole_interval_is_below_minus_ten_points():
+def test_a_bin_is_worse_only_when_its_whole_interval_is_below_minus_ten_points():
     before = np.ones((8, 100), dtype=bool)
     after = before.copy()
     after[3, :15] = False  # -15 points, interval reaches above -10
-    assert no_bin_lost(before, after).holds
+    assert no_bin_worse(before, after).holds
     after[6, :30] = False
-    result = no_bin_lost(before, after)
-    assert result.lost == (6,)
+    result = no_bin_worse(before, after)
+    assert result.worse == (6,)
     assert not result.holds
     assert result.bins[6].difference == pytest.approx(-0.3)
-    assert no_bin_lost(after, before).holds
+    assert no_bin_worse(after, before).holds
     with pytest.raises(ValueError, match="given 8 and 7"):
-        no_bin_lost(before, after[:7])
+        no_bin_worse(before, after[:7])
 
 
 def test_a_comparison_over_tasks_is_the_mean_of_theirs():

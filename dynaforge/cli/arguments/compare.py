@@ -11,7 +11,7 @@ from dynaforge.options.numbers import LARGEST_COUNT, Number, WholeNumber, minute
 from dynaforge.options.parser import Distinct
 from dynaforge.options.paths import OutputPath
 from dynaforge.options.words import Choice, Text
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 from dynaforge.training.settings import variants
 from dynaforge.training.varied import check_varied
 
@@ -57,7 +57,7 @@ def check(options: argparse.Namespace) -> None:
     """Refuse values that make no variants, a folder with other contents, and a report of nothing."""
     setting, *values = options.vary or ("none", "1")
     if not setting.isidentifier():
-        raise ValueError(f"--vary {shown(setting)} is no setting; write --vary learning_rate 5e-4 1e-3, say.")
+        raise ValueError(f"--vary {quoted(setting)} is no setting; write --vary learning_rate 5e-4 1e-3, say.")
     if not values:
         raise ValueError(f"--vary {setting} names no values; write --vary {setting} VALUE [VALUE ...].")
     if len(set(values)) < len(values):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from dynaforge.options.refusal import Refused
-from dynaforge.sim.checks import shown
+from dynaforge.sim.checks import quoted
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 LONGEST_PATH = 1000  # characters of a task file's path
@@ -58,7 +58,7 @@ def task(text: str) -> str:
         argparse.ArgumentTypeError: It does not.
     """
     if len(text) > LONGEST_PATH or "\0" in text:
-        raise Refused(f"is {shown(text)}; it must be a task's name, an env id or a task file.")
+        raise Refused(f"is {quoted(text)}; it must be a task's name, an env id or a task file.")
     try:
         get_task(text)
     except (ValueError, OSError) as error:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from dynaforge.geometry import Pose
-from dynaforge.sim.checks import check_callable, shown
+from dynaforge.sim.checks import check_callable, quoted
 from dynaforge.tasks.view import PhaseView
 
 PREDICATE_EXAMPLE = 'a predicate, such as Grasped("can")'
@@ -29,7 +29,7 @@ class All:
     def __post_init__(self) -> None:
         if not isinstance(self.parts, (tuple, list)) or not self.parts:
             raise ValueError(
-                f"All: parts is {shown(self.parts)}; it must be a tuple of predicates: All((Reached(0.03),))."
+                f"All: parts is {quoted(self.parts)}; it must be a tuple of predicates: All((Reached(0.03),))."
             )
         for part in self.parts:
             check_callable("All: one of parts", part, such_as=PREDICATE_EXAMPLE)
