@@ -167,7 +167,7 @@ def test_a_comparison_is_reported_and_none_of_its_runs_made_again(
     assert rows(printed) == rows((compare / "table.txt").read_text()) == table
     after = contents(compare)
     assert all(after[path] == kept for path, kept in before.items() if path.name != "table.txt")
-    assert set(after) - set(before) == {Path("report.html")}
+    assert set(after) - set(before) == {Path("report.html"), Path("can/runs.json")}
 
 
 @pytest.mark.slow

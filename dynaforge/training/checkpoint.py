@@ -1,6 +1,6 @@
-"""Where a training run stands, as a file that runs no code: tensors in safetensors, counters in its JSON header.
+"""Training checkpoints, as files that execute no code: tensors in safetensors, counters in the JSON header.
 
-SB3's own `model.zip` is a pickle. A folder of `dynaforge compare` may come from anybody, so nothing in it is one.
+SB3's own `model.zip` is a pickle. A folder of `dynaforge compare` may come from anybody, so nothing in it is a pickle.
 """
 
 from __future__ import annotations
@@ -26,25 +26,30 @@ COUNTERS = ("num_timesteps", "_n_updates", "optimizer_steps", "transitions_used"
 
 
 def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write weights, the optimizer's state, counters and states of randomness, as a whole or not at all."""
+    """Write weights, the optimizer's state, counters and random states, whole or not at all."""
     with _as_of_iteration_start(model) as random:
         counters = {name: getattr(model, name) for name in COUNTERS if hasattr(model, name)}
     header = {"format": FORMAT, "counters": counters, "generators": random.generators if random else []}
     tensors = {f"policy.{name}": tensor for name, tensor in model.policy.state_dict().items()}
-    for row, entries in model.policy.optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{row}.{name}": tensor for name, tensor in entries.items()}
+    for index, entries in model.policy.optimizer.state_dict()["state"].items():
+        tensors |= {f"optimizer.{index}.{name}": tensor for name, tensor in entries.items()}
     tensors |= {f"random.{k}": tensor for k, tensor in enumerate(random.torch if random else ())}
     whole = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
     atomic_write(path, save(whole, {"dynaforge": json.dumps(header)}))
 
 
 def load_checkpoint(model: OnPolicyAlgorithm, path: Path, *, seed: int) -> None:
-    """Set a model that was built as the checkpoint's was back to it.
+    """Restore a model, built with the same settings, from a training checkpoint.
 
-    FrontierGRPO then goes on bit for bit; PPO with new episodes in place of those under way.
+    FrontierGRPO then resumes bit for bit; PPO begins new episodes in place of those that were under way.
+
+    Args:
+        model: The model to restore.
+        path: The checkpoint.
+        seed: Training seed, from which PPO's new episodes draw.
 
     Raises:
-        ValueError: The file is no checkpoint, or one of another model.
+        ValueError: The file is not a training checkpoint, or belongs to another model.
     """
     try:
         with safe_open(str(path), framework="pt") as file:
@@ -67,7 +72,7 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path, *, seed: int) -> None:
 
 @contextlib.contextmanager
 def _as_of_iteration_start(model: OnPolicyAlgorithm) -> Iterator[RandomState | None]:
-    """Let a FrontierGRPO be as it was before the iteration under way, which a resumed run repeats; as its `save`."""
+    """Put a FrontierGRPO back to the start of the iteration under way, as its `save` does: resuming repeats it."""
     if isinstance(model, FrontierGRPO):
         with model.as_of_iteration_start() as state:
             yield state
@@ -78,8 +83,8 @@ def _as_of_iteration_start(model: OnPolicyAlgorithm) -> Iterator[RandomState | N
 def _restore_optimizer(optimizer: th.optim.Optimizer, tensors: dict[str, th.Tensor]) -> None:
     state: dict[int, dict[str, th.Tensor]] = {}
     for name, tensor in tensors.items():
-        row, _, entry = name.partition(".")
-        state.setdefault(int(row), {})[entry] = tensor
+        index, _, entry = name.partition(".")
+        state.setdefault(int(index), {})[entry] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
@@ -95,4 +100,6 @@ def _restore_randomness(model: OnPolicyAlgorithm, random: RandomState, seed: int
 
 
 def _below(prefix: str, tensors: dict[str, Any]) -> dict[str, th.Tensor]:
-    return {name.removeprefix(f"{prefix}."): t for name, t in tensors.items() if name.startswith(f"{prefix}.")}
+    """Return the tensors whose names begin with a prefix and a dot, by the rest of their names."""
+    start = f"{prefix}."
+    return {name.removeprefix(start): tensor for name, tensor in tensors.items() if name.startswith(start)}

@@ -18,7 +18,7 @@ from dynaforge.training.history import TrainingHistory
 from dynaforge.training.run_spec import PLANNER_ONLY
 from dynaforge.training.stored_run import StoredRun
 
-FINAL_PROBES = 5  # probes at the end of a run, whose mean says where it ends
+FINAL_PROBES = 5  # the mean of a run's last probes is its final success without exploration
 VANILLA = "grpo"
 
 
@@ -28,20 +28,20 @@ class VariantSummary:
 
     Attributes:
         rates: DGR of each training seed.
-        late: Success without exploration on `val`, mean of the last five probes; NaN without probes.
+        final_probes: Success without exploration on `val`, mean of the last five probes; NaN without probes.
         optimizer_steps: Optimizer steps of a run.
         transitions_used: Gated transitions of the kept groups of a run.
         collect_cpu, optimize_cpu, collect_wall, optimize_wall: Seconds of a run, on the one core it has.
         groups: Shares of groups that all failed, were mixed, all succeeded; empty without groups.
         steps_to_vanilla: Environment steps needed to reach vanilla GRPO's final success in training (trailing means
             over the seeds); infinite where it was not reached.
-        greedy_steps_to_vanilla: The same without exploration: environment steps until the mean of three probes reached
-            that of vanilla's last five; NaN without probes.
+        probe_steps_to_vanilla: The same without exploration: environment steps until the mean of three probes reached
+            the mean of vanilla's last five; NaN without probes.
         forgotten: Share of strata that succeeded in two probes in a row and failed in the last two.
     """
 
     rates: tuple[float, ...]
-    late: float
+    final_probes: float
     optimizer_steps: float
     transitions_used: float
     collect_cpu: float
@@ -50,7 +50,7 @@ class VariantSummary:
     optimize_wall: float
     groups: tuple[float, ...]
     steps_to_vanilla: float
-    greedy_steps_to_vanilla: float
+    probe_steps_to_vanilla: float
     forgotten: float
 
 
@@ -66,7 +66,11 @@ class Comparison:
 
     @staticmethod
     def load(root: Path, folders: Iterable[Path]) -> Comparison:
-        """Read run folders.
+        """Read finished runs.
+
+        Args:
+            root: Folder of the comparison, named in messages.
+            folders: Folders of the runs.
 
         Raises:
             ValueError: A damaged folder, or runs of a task that were measured on different conditions.
@@ -101,7 +105,7 @@ class Comparison:
         return np.array([run.success for run in self.of(task, variant)])
 
     def planner(self, task: str) -> float:
-        """DGR of the planner alone; NaN where it was not measured."""
+        """Return the DGR of the planner only; NaN where it was not measured."""
         return next((run.rate for run in self.of(task, PLANNER_ONLY)), math.nan)
 
     def complete_tasks(self, variant: str) -> list[str]:
@@ -114,19 +118,19 @@ class Comparison:
         return bootstrap_over_tasks(pairs, rng=np.random.default_rng(0))
 
     def curve(self, task: str, variant: str) -> Array:
-        """Success in training at each update, mean over seeds, shape (U,); as long as the shortest run."""
+        """Return success in training at each update, mean over seeds, shape (U,); as long as the shortest run."""
         curves = [history.success for history in self._histories(task, variant)]
         shortest = min(map(len, curves))
         return np.asarray(np.mean([curve[:shortest] for curve in curves], axis=0))
 
     def steps(self, task: str, variant: str) -> Array:
-        """Environment steps at the updates of `curve`, mean over seeds, shape (U,)."""
+        """Return the environment steps at the updates of `curve`, mean over seeds, shape (U,)."""
         steps = [history.timesteps for history in self._histories(task, variant)]
         shortest = min(map(len, steps))
         return np.asarray(np.mean([row[:shortest] for row in steps], axis=0))
 
     def frontier(self, task: str, variant: str) -> FrontierAnalysis:
-        """Analyse the frontier of a variant, outcomes of all its seeds pooled update by update."""
+        """Analyse the frontier of a variant, with the outcomes of all its seeds pooled update by update."""
         histories = self._histories(task, variant)
         shortest = min(map(len, histories))
         successes, trials = (
@@ -136,20 +140,20 @@ class Comparison:
         return analyse_frontier(successes, trials)
 
     def probes(self, task: str, variant: str) -> tuple[Array, Array]:
-        """Environment steps and success without exploration of the probes, means over seeds, shape (P,) each."""
+        """Return environment steps and success of the probes, means over seeds, shape (P,) each."""
         rows = [history.probes for history in self._histories(task, variant)]
         shortest = min(map(len, rows))
         steps = np.mean([[probe.timesteps for probe in row[:shortest]] for row in rows], axis=0)
         return steps, np.mean([[np.mean(probe.success) for probe in row[:shortest]] for row in rows], axis=0)
 
     def summary(self, task: str, variant: str) -> VariantSummary:
-        """Put a variant's runs on a task in figures."""
+        """Summarise a variant's runs on a task."""
         histories = self._histories(task, variant)
         groups = np.array([np.sum(history.groups, axis=0) for history in histories if history.groups])
         probes = [_probes(history) for history in histories]
         return VariantSummary(
             rates=tuple(run.rate for run in self.of(task, variant)),
-            late=mean(float(p[-FINAL_PROBES:].mean()) if len(p) else math.nan for p in probes),
+            final_probes=mean(float(p[-FINAL_PROBES:].mean()) if len(p) else math.nan for p in probes),
             optimizer_steps=mean(h.optimizer_steps[-1] for h in histories),
             transitions_used=mean(h.transitions_used[-1] for h in histories),
             collect_cpu=mean(sum(h.collect_cpu) for h in histories),
@@ -158,7 +162,7 @@ class Comparison:
             optimize_wall=mean(sum(h.optimize_wall) for h in histories),
             groups=tuple((groups.sum(axis=0) / groups.sum()).tolist()) if len(groups) else (),
             steps_to_vanilla=self._steps_to_vanilla(task, variant),
-            greedy_steps_to_vanilla=self._greedy_steps_to_vanilla(task, variant),
+            probe_steps_to_vanilla=self._probe_steps_to_vanilla(task, variant),
             forgotten=mean(_forgotten(p) for p in probes),
         )
 
@@ -169,13 +173,14 @@ class Comparison:
         reached = np.flatnonzero(self.frontier(task, variant).overall_trailing >= level)
         return float(self.steps(task, variant)[reached[0]]) if len(reached) else math.inf
 
-    def _greedy_steps_to_vanilla(self, task: str, variant: str) -> float:
+    def _probe_steps_to_vanilla(self, task: str, variant: str) -> float:
         if not self.of(task, self.reference):
             return math.nan
-        level, (steps, success) = self.probes(task, self.reference)[1][-FINAL_PROBES:], self.probes(task, variant)
-        if not len(level) or len(success) < 3:
+        vanilla = self.probes(task, self.reference)[1][-FINAL_PROBES:]
+        steps, success = self.probes(task, variant)
+        if not len(vanilla) or len(success) < 3:
             return math.nan
-        reached = np.flatnonzero(np.convolve(success, np.ones(3) / 3, "valid") >= level.mean() - 1e-9)
+        reached = np.flatnonzero(np.convolve(success, np.ones(3) / 3, "valid") >= vanilla.mean() - 1e-9)
         return float(steps[reached[0] + 2]) if len(reached) else math.inf
 
     def _histories(self, task: str, variant: str) -> list[TrainingHistory]:

@@ -10,12 +10,25 @@ from statistics import mean, stdev
 from rich.console import Console
 from rich.table import Table
 
-from dynaforge.training.comparison import FINAL_PROBES, Comparison
+from dynaforge.training.comparison import FINAL_PROBES, Comparison, VariantSummary
 
 COLUMNS = (
-    "seeds", "DGR %", "std", "val %", "opt. steps", "against", "95 %", "opt. ratio", "steps to", "greedy", "used",
-    "sim", "opt.", "wall sim", "wall opt.",
-)  # fmt: skip
+    "seeds",
+    "DGR %",
+    "std",
+    "val %",
+    "opt. steps",
+    "against",
+    "95 %",
+    "opt. ratio",
+    "steps to",
+    "probes",
+    "used",
+    "sim",
+    "opt.",
+    "wall sim",
+    "wall opt.",
+)
 
 
 def comparison_table(comparison: Comparison) -> str:
@@ -42,7 +55,7 @@ def comparison_table(comparison: Comparison) -> str:
 
 
 def legend(comparison: Comparison) -> str:
-    """Say what the columns of the table mean."""
+    """Return what the columns of the table mean."""
     evaluation, reference = comparison.runs[0].evaluation, comparison.reference
     return (
         f"DGR of the final policy without exploration on {evaluation.blocks} x {evaluation.attempts} conditions of "
@@ -55,30 +68,54 @@ def legend(comparison: Comparison) -> str:
 
 
 def cells(comparison: Comparison, variant: str, tasks: Sequence[str]) -> list[str]:
-    """Return the figures of a variant over tasks as text, in the order of `COLUMNS`."""
-    mine = [comparison.summary(task, variant) for task in tasks]
-    seeds = min(len(s.rates) for s in mine)
-    rate = mean(mean(s.rates) for s in mine)
-    over_seeds = [mean(s.rates[k] for s in mine) for k in range(seeds)]
-    cells = [str(seeds), f"{100 * rate:.1f}", f"{100 * stdev(over_seeds):.1f}" if seeds > 1 else "-"]
-    late = mean(s.late for s in mine)
-    cells += ["-" if math.isnan(late) else f"{100 * late:.1f}", f"{mean(s.optimizer_steps for s in mine):.0f}"]
-    if variant == comparison.reference or not all(comparison.of(task, comparison.reference) for task in tasks):
-        compared = ["-"] * 5
-    else:
-        theirs = [comparison.summary(task, comparison.reference) for task in tasks]
-        found = comparison.difference(variant, tasks)
-        low, high = found.interval
-        ratios = (
-            mean(getattr(a, name) / getattr(b, name) for a, b in zip(mine, theirs, strict=True))
-            for name in ("optimizer_steps", "steps_to_vanilla", "greedy_steps_to_vanilla")
-        )
-        compared = [
-            f"{100 * found.difference:+.1f}", f"{100 * low:+.1f} to {100 * high:+.1f}",
-            *(f"{ratio:.2f} x" if math.isfinite(ratio) else "-" for ratio in ratios),
-        ]  # fmt: skip
-    costs = [f"{mean(s.transitions_used for s in mine) / 1000:.1f}"]
-    for name in ("collect_cpu", "optimize_cpu", "collect_wall", "optimize_wall"):
-        minutes = mean(getattr(s, name) for s in mine) / 60
-        costs.append(f"{minutes:.2f}" if name.startswith("optimize") else f"{minutes:.1f}")
-    return [*cells, *compared, *costs]
+    """Return the figures of a variant as text, means over tasks, in the order of `COLUMNS`.
+
+    Args:
+        comparison: The runs.
+        variant: Name of the variant.
+        tasks: Names of tasks on which it finished a run.
+    """
+    summaries = [comparison.summary(task, variant) for task in tasks]
+    return [*_rates(summaries), *_against_reference(comparison, variant, tasks), *_costs(summaries)]
+
+
+def _rates(summaries: Sequence[VariantSummary]) -> list[str]:
+    seeds = min(len(s.rates) for s in summaries)
+    rate = mean(mean(s.rates) for s in summaries)
+    by_seed = [mean(s.rates[k] for s in summaries) for k in range(seeds)]
+    final_probes = mean(s.final_probes for s in summaries)
+    return [
+        str(seeds),
+        f"{100 * rate:.1f}",
+        f"{100 * stdev(by_seed):.1f}" if seeds > 1 else "-",
+        "-" if math.isnan(final_probes) else f"{100 * final_probes:.1f}",
+        f"{mean(s.optimizer_steps for s in summaries):.0f}",
+    ]
+
+
+def _against_reference(comparison: Comparison, variant: str, tasks: Sequence[str]) -> list[str]:
+    reference = comparison.reference
+    if variant == reference or not all(comparison.of(task, reference) for task in tasks):
+        return ["-"] * 5
+    found = comparison.difference(variant, tasks)
+    low, high = found.interval
+    pairs = [(comparison.summary(task, variant), comparison.summary(task, reference)) for task in tasks]
+    ratios = (
+        mean(getattr(ours, name) / getattr(theirs, name) for ours, theirs in pairs)
+        for name in ("optimizer_steps", "steps_to_vanilla", "probe_steps_to_vanilla")
+    )
+    return [
+        f"{100 * found.difference:+.1f}",
+        f"{100 * low:+.1f} to {100 * high:+.1f}",
+        *(f"{ratio:.2f} x" if math.isfinite(ratio) else "-" for ratio in ratios),
+    ]
+
+
+def _costs(summaries: Sequence[VariantSummary]) -> list[str]:
+    return [
+        f"{mean(s.transitions_used for s in summaries) / 1000:.1f}",
+        f"{mean(s.collect_cpu for s in summaries) / 60:.1f}",
+        f"{mean(s.optimize_cpu for s in summaries) / 60:.2f}",
+        f"{mean(s.collect_wall for s in summaries) / 60:.1f}",
+        f"{mean(s.optimize_wall for s in summaries) / 60:.2f}",
+    ]

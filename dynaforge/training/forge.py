@@ -1,8 +1,9 @@
-"""The training stage of `dynaforge forge`: within a budget of time, stored after every update."""
+"""The training stage of `dynaforge forge`: limited by a time budget, stored after every update."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.tasks import Task
@@ -18,12 +19,12 @@ POLICY = "policy.safetensors"
 
 @dataclass(frozen=True, slots=True)
 class TrainingResult:
-    """What `train` returns.
+    """What the training stage made.
 
     Attributes:
-        policy: The policy at the end.
+        policy: The policy at its end.
         history: One row per update.
-        interrupted: Whether Ctrl-C ended the training, so that the same call resumes it.
+        interrupted: Whether Ctrl-C ended it; the same call then resumes it.
     """
 
     policy: MlpPolicyFile
@@ -34,12 +35,12 @@ class TrainingResult:
 def train(
     task: Task, folder: ForgeFolder, *, algo: str, seed: int, seconds: float, updates: int | None, workers: int
 ) -> TrainingResult:
-    """Train until the time or the updates are up; every update is stored, and a later call resumes.
+    """Train until the time or the updates are used up; every update is stored, and a later call resumes.
 
     Args:
-        task: What is learned.
+        task: The task.
         folder: Where history, training checkpoint and policy are stored.
-        algo: File of zoo_configs.
+        algo: Name of a file in zoo_configs.
         seed: Training seed.
         seconds: Wall time allowed, that of interrupted calls included.
         updates: Updates allowed; None for no limit.
@@ -47,39 +48,47 @@ def train(
     """
     path = folder.path
     if folder.has_stage("trained"):
-        return TrainingResult(MlpPolicyFile.load(path / POLICY, task=task), TrainingHistory.load(path / HISTORY), False)
+        policy, history = MlpPolicyFile.load(path / POLICY, task=task), TrainingHistory.load(path / HISTORY)
+        return TrainingResult(policy, history, interrupted=False)
     settings = hyperparameters(algo, task.name)
     env = training_env(task, settings["n_envs"], algo=algo, cores=workers)
-    interrupted = False
     try:
         counting = {} if algo == "ppo" else {"timesteps": "gated"}
         training = StoredTraining(path, task, env, algo=algo, seed=seed, **counting)
         if training.resumed:
             print(f"      resuming after {len(training.history)} updates")
         limit = TimeLimit(training.history, seconds=seconds, updates=updates)
-
-        def save() -> MlpPolicyFile:
-            policy = training.policy()
-            training.save()
-            policy.save(path / POLICY)
-            return policy
-
-        def between_updates(made: int) -> bool:
-            if made:
-                save()
-            return limit(made)
-
-        try:
-            with decaying_within(training.model, limit.used):
-                training.learn(int(settings["n_timesteps"]), between_updates)
-        except KeyboardInterrupt:
-            interrupted = True
-        finally:
-            limit.close()
-        policy = save()
+        interrupted = _learn(training, limit, path, timesteps=int(settings["n_timesteps"]))
+        policy = _save(training, path)
         save_model(training.model, path / "model.zip")
     finally:
         env.close()
     if not interrupted:
         folder.stage("trained", lambda: {"updates": len(training.history), "policy": policy.digest})
     return TrainingResult(policy, training.history, interrupted)
+
+
+def _learn(training: StoredTraining, limit: TimeLimit, path: Path, *, timesteps: int) -> bool:
+    """Train within the limit and store every update; return whether Ctrl-C ended it."""
+
+    def between_updates(updates: int) -> bool:
+        if updates:
+            _save(training, path)
+        return limit(updates)
+
+    try:
+        with decaying_within(training.model, limit.used):
+            training.learn(timesteps, between_updates)
+    except KeyboardInterrupt:
+        return True
+    finally:
+        limit.close()
+    return False
+
+
+def _save(training: StoredTraining, path: Path) -> MlpPolicyFile:
+    """Store history, training checkpoint and policy in a folder; return the policy."""
+    policy = training.policy()
+    training.save()
+    policy.save(path / POLICY)
+    return policy

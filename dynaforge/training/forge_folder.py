@@ -1,6 +1,6 @@
-"""The folder of a run of `forge`: what was asked for and every finished stage, so that the same command resumes it.
+"""The folder of a run of `forge`: its request and every finished stage, so that the same command resumes it.
 
-Read before anything heavy is imported.
+The command line reads this module before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -15,56 +15,69 @@ from typing import Any
 from dynaforge.files.atomic import atomic_write, make_folder
 from dynaforge.tasks import get_task
 
-ABOUT = "forge.json"
+REQUEST = "forge.json"
 REPORT = "report.html"  # written last
-ASKED = ("budget", "updates", "demos", "attempts", "seed", "algo", "residual_frame")
+REQUESTED = ("budget", "updates", "demos", "attempts", "seed", "algo", "residual_frame")
 
 
 class ForgeFolder:
-    """A folder of one run; plain data, so that going on from somebody's folder runs no code.
+    """The folder of one run; plain data, so that resuming somebody else's folder executes no code.
+
+    Args:
+        path: The folder.
+        request: What identifies the run, as plain data; stored if the folder is new.
 
     Attributes:
         path: The folder.
-        resumed: Whether it holds the beginning of the run already.
+        resumed: Whether it already contains the beginning of the run.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, request: Mapping[str, Any]) -> None:
         self.path = path
-        self.resumed = (path / ABOUT).is_file()
+        self.resumed = (path / REQUEST).is_file()
         if not self.resumed:
-            atomic_write(path / ABOUT, json.dumps(about, indent=1).encode() + b"\n")
+            atomic_write(path / REQUEST, json.dumps(request, indent=1).encode() + b"\n")
 
     @staticmethod
-    def of(path: Path, about: Mapping[str, Any]) -> ForgeFolder:
+    def of(path: Path, request: Mapping[str, Any]) -> ForgeFolder:
         """Open a folder that is new, empty, or of this very run.
 
+        Args:
+            path: The folder.
+            request: What identifies the run, as plain data.
+
         Raises:
-            ValueError: It cannot be made, or holds another run.
+            ValueError: It cannot be made, or contains another run.
             PermissionError: It cannot be written to.
         """
-        asked: dict[str, Any] = json.loads(json.dumps(about))
-        stored = _read(path / ABOUT) if (path / ABOUT).is_file() else asked
-        if stored != asked:
-            differ = {name for name in {*stored, *asked} if stored.get(name) != asked.get(name)}
-            was, now = ({name: side.get(name) for name in differ} for side in (stored, asked))
+        requested: dict[str, Any] = json.loads(json.dumps(request))
+        stored = _read(path / REQUEST) if (path / REQUEST).is_file() else requested
+        if stored != requested:
+            differ = {name for name in {*stored, *requested} if stored.get(name) != requested.get(name)}
+            was, now = ({name: side.get(name) for name in differ} for side in (stored, requested))
             raise ValueError(
                 f"--out {path} holds a run with {_spell(was)}, now {_spell(now)} is asked for. "
-                "Choose another --out, or repeat the command of that run to go on with it."
+                "Choose another --out, or repeat the command of that run to resume it."
             )
         make_folder(path)
-        return ForgeFolder(path, asked)
+        return ForgeFolder(path, requested)
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run is complete."""
         return (self.path / REPORT).is_file()
 
     def has_stage(self, name: str) -> bool:
-        """Tell whether a stage was stored."""
+        """Return whether a stage is stored."""
         return (self.path / f"{name}.json").is_file()
 
     def stage(self, name: str, make: Callable[[], Any]) -> Any:
-        """Return the plain data of a stage: stored by an earlier call of the command, or made now and stored."""
+        """Return the plain data of a stage: what an earlier call stored, or else what is made and stored now.
+
+        Args:
+            name: Name of the stage.
+            make: Makes the data.
+        """
         path = self.path / f"{name}.json"
         if not self.has_stage(name):
             atomic_write(path, json.dumps(make()).encode() + b"\n")
@@ -72,19 +85,19 @@ class ForgeFolder:
 
 
 def asked_for(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the arguments say of a run, as plain data; how many workers make it may change."""
-    return {name: getattr(options, name) for name in ASKED} | {"task": get_task(options.task).name}
+    """Return the arguments that identify a run, as plain data; the number of workers may change."""
+    return {name: getattr(options, name) for name in REQUESTED} | {"task": get_task(options.task).name}
 
 
 def default_folder(options: argparse.Namespace) -> Path:
-    """Return the latest runs/TASK-N if it waits to go on with the same arguments, else the next free one."""
-    asked = asked_for(options)
-    stem = f"runs/{asked['task']}"
+    """Return the latest runs/TASK-N if it is an unfinished run with the same arguments, else the next free one."""
+    requested = asked_for(options)
+    stem = f"runs/{requested['task']}"
     free = next(k for k in count(1) if not Path(f"{stem}-{k}").exists())
     latest = Path(f"{stem}-{free - 1}")
-    if (latest / ABOUT).is_file() and not (latest / REPORT).is_file():
-        held = _read(latest / ABOUT)
-        if all(held.get(name) == value for name, value in asked.items()):
+    if (latest / REQUEST).is_file() and not (latest / REPORT).is_file():
+        stored = _read(latest / REQUEST)
+        if all(stored.get(name) == value for name, value in requested.items()):
             return latest
     return Path(f"{stem}-{free}")
 

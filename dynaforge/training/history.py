@@ -1,4 +1,4 @@
-"""What a training run leaves behind, one row per update: the same for every algorithm, so that runs compare."""
+"""The history of a training run, one row per update, in one format for all algorithms so that they can be compared."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ STRATA = 16
 
 @dataclass(slots=True)
 class Probe:
-    """Success without exploration in the midst of training, one condition a stratum.
+    """Success without exploration at one moment of training, on one condition per stratum.
 
     Attributes:
         update: Updates made before it.
         timesteps: Environment steps made before it.
-        success: Of each stratum, shape (S,).
+        success: Whether each stratum's attempt succeeded, shape (S,).
     """
 
     update: int
@@ -32,20 +32,20 @@ class Probe:
     success: list[bool]
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, kw_only=True)
 class TrainingHistory:
-    """A training run, update by update; U updates, S equal strata of difficulty.
+    """A training run, update by update: U updates, S equal strata of difficulty.
 
     Attributes:
-        successes: Exploring episodes that ended in success, by the stratum of their condition, shape (U, S).
-        trials: Exploring episodes that ended, shape (U, S); 0 where sampling left a stratum out.
-        groups: Groups that failed throughout, were mixed, succeeded throughout, shape (U, 3); empty without groups.
+        successes: Rollouts that succeeded, by the stratum of their condition, shape (U, S).
+        trials: Rollouts that ended, shape (U, S); 0 where sampling left a stratum out.
+        groups: Numbers of groups that all failed, were mixed, all succeeded, shape (U, 3); empty without groups.
         timesteps: Environment steps since the start, shape (U,), as are the following.
-        optimizer_steps: Steps of the optimizer since the start.
-        transitions_used: Gated transitions of kept groups since the start, each counted once an update.
-        collect_wall, collect_cpu: Seconds that the update's episodes took; CPU of this process.
+        optimizer_steps: Optimizer steps since the start.
+        transitions_used: Gated transitions of kept groups since the start, each counted once per update.
+        collect_wall, collect_cpu: Seconds that the update's rollouts took; CPU is that of this process.
         optimize_wall, optimize_cpu: Seconds that its optimisation took.
-        probes: Measurements without exploration.
+        probes: Success without exploration, as measured during training.
     """
 
     successes: list[list[int]] = field(default_factory=list)
@@ -68,21 +68,21 @@ class TrainingHistory:
 
     @property
     def success(self) -> Array:
-        """Mean over the strata that had trials, of each update, shape (U,)."""
+        """Success of each update, mean over the strata that had trials, shape (U,)."""
         return self.frontier().overall
 
     def frontier(self) -> FrontierAnalysis:
-        """Analyse how deep the mastered strata reach."""
+        """Analyse which strata are mastered at each update."""
         return analyse_frontier(self.successes, np.array(self.trials))
 
     def up_to(self, timesteps: int) -> TrainingHistory:
-        """Return the part within so many environment steps: what a checkpoint of that moment knows."""
+        """Return the part within a number of environment steps: what a training checkpoint of that moment contains."""
         n = int(np.searchsorted(self.timesteps, timesteps, side="right"))
         rows = {f.name: getattr(self, f.name)[:n] for f in fields(self) if f.name != "probes"}
         return TrainingHistory(**rows, probes=[probe for probe in self.probes if probe.timesteps <= timesteps])
 
     def save(self, path: Path) -> None:
-        """Write it as JSON, as a whole or not at all."""
+        """Write the history as JSON, whole or not at all."""
         atomic_write(path, json.dumps(asdict(self)).encode())
 
     @staticmethod
@@ -90,19 +90,19 @@ class TrainingHistory:
         """Read what `save` wrote.
 
         Raises:
-            ValueError: The file is something else.
+            ValueError: The file is not a training history.
         """
         try:
             return TrainingHistory.of(json.loads(path.read_text()))
         except (ValueError, RecursionError) as error:
-            raise ValueError(f"{path} is no training history: {error}.") from error
+            raise ValueError(f"{path} is not a training history: {error}.") from error
 
     @staticmethod
     def of(data: Any) -> TrainingHistory:
-        """Make it of the JSON data of a file.
+        """Build a history from the JSON data of a file.
 
         Raises:
-            ValueError: The data are something else.
+            ValueError: The data are not those of a training history.
         """
         try:
             history = TrainingHistory(**data | {"probes": [Probe(**probe) for probe in data["probes"]]})
@@ -114,11 +114,11 @@ class TrainingHistory:
 
 
 def _check_numbers(name: str, rows: Any) -> None:
-    """Refuse what is no list of finite numbers, of lists of them, or of probes made of them."""
+    """Refuse anything but a list of finite numbers, of lists of them, or of probes made of them."""
     if not isinstance(rows, list):
-        raise ValueError(f"{name} is no list")
+        raise ValueError(f"{name} is not a list")
     for row in rows:
         parts = [row.update, row.timesteps, *row.success] if isinstance(row, Probe) else row
         for number in parts if isinstance(parts, list) else [parts]:
             if not isinstance(number, (int, float)) or not math.isfinite(number):
-                raise ValueError(f"{name} holds {number!r:.40}, no finite number")
+                raise ValueError(f"{name} contains {number!r:.40}, which is not a finite number")

@@ -22,14 +22,16 @@ Variants = dict[str, tuple[str, dict[str, Any]]]
 def run_matrix(
     tasks: Sequence[Task], compared: Variants, *, seeds: int, steps: int, evaluation: Evaluation, out: Path
 ) -> list[RunSpec]:
-    """List the runs seed by seed, so that what is finished at any moment can be compared; the planner's come first.
+    """List the runs: first the planner's, then all of seed 0, of seed 1 and so on.
+
+    In this order the runs that are finished at any moment can be compared.
 
     Args:
-        tasks: Tasks.
+        tasks: The tasks.
         compared: Variants to compare.
-        seeds: Training seeds of each.
+        seeds: Number of training seeds of every variant.
         steps: Environment steps of a run.
-        evaluation: What the final policies are evaluated on.
+        evaluation: Conditions on which the final policies are evaluated.
         out: Folder of the comparison.
     """
     planner = [
@@ -64,11 +66,11 @@ def run_matrix(
 
 
 def compared_variants(names: Sequence[str], vary: Sequence[str] | None = None) -> Variants:
-    """Return variants of zoo_configs/compare.yml.
+    """Return variants of zoo_configs/compare.yml by name.
 
     Args:
         names: Their names.
-        vary: A setting and the values it takes in place of its own; each value makes a variant of its own.
+        vary: A setting, then the values that replace its own; each value makes a variant of every name.
     """
     known = variants()
     compared: Variants = {}
@@ -80,24 +82,28 @@ def compared_variants(names: Sequence[str], vary: Sequence[str] | None = None) -
 
 
 def check_variants(compared: Variants, task: str) -> None:
-    """Build the model of every variant once, on a single env.
+    """Build the model of every variant once, on a single env, so that a wrong setting is refused before any training.
 
     Args:
         compared: The variants.
         task: Name of a task to build them for.
 
     Raises:
-        ValueError: A setting that the algorithm does not know or refuses.
+        ValueError: The algorithm does not know a setting, or refuses it.
     """
     for algo, changes in compared.values():
         _check_settings(algo, changes, task)
 
 
 def refuse_links(folder: Path, out: Path) -> None:
-    """Refuse to write through links of a folder that may be a stranger's: they lead anywhere.
+    """Refuse to write through links: a folder that came from somebody else may lead anywhere.
+
+    Args:
+        folder: The folder of a run.
+        out: The folder of the comparison, above it.
 
     Raises:
-        ValueError: Names the link.
+        ValueError: There is a link between the two; the message names it.
     """
     below = folder.relative_to(out).parts
     for depth in range(1, len(below) + 1):

@@ -1,4 +1,4 @@
-"""Training a residual with the hyperparameters of zoo_configs, as `forge` and `compare` do it."""
+"""The env and the model with which `forge` and `compare` train, built with the hyperparameters of zoo_configs."""
 
 from __future__ import annotations
 
@@ -28,10 +28,16 @@ ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO,
 def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores: int = 2) -> VecEnv:
     """Make the vectorised env to collect in.
 
-    On several cores: two workers a core, so that one with less to do leaves its share of the core to the others; and
-    for FrontierGRPO mask mode, so that no env's long lift stalls the others. It leaves out steps without effect, and
-    counts them as under "skip" with `timesteps="gated"`; PPO would learn from them. On one core: this process, where
-    nothing can stall.
+    On several cores there are two workers per core, so that one with less to do leaves its share of the core to the
+    others. FrontierGRPO collects in mask mode, where no env's long lift stalls the others: it ignores steps without
+    effect, and with `timesteps="gated"` counts as under "skip"; PPO would learn from them. On one core everything runs
+    in this process, where nothing can stall.
+
+    Args:
+        task: The task.
+        n_envs: Number of envs.
+        algo: Name of a file in zoo_configs.
+        cores: Cores to collect on.
     """
     if cores == 1:
         return DummyVecEnv([partial(ResidualEnv, task)] * n_envs)
@@ -45,9 +51,9 @@ def build_model(
     """Build the model that zoo_configs describes.
 
     Args:
-        task: Task name, env id or file.
+        task: Task name, env id or task file.
         env: The env to train in.
-        algo: Which file of zoo_configs.
+        algo: Name of a file in zoo_configs.
         seed: Training seed.
         changes: Hyperparameters to override.
     """
@@ -57,14 +63,14 @@ def build_model(
 
 @contextlib.contextmanager
 def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iterator[None]:
-    """Let every schedule of a model run by the larger of two shares: of the steps taken, and of a budget used up.
+    """Let every schedule of a model follow the larger of two shares: of the steps taken, and of a budget used.
 
-    Stable-Baselines3 knows steps alone. A training that ends by the clock would end at half its rate, say, since how
-    many steps it has time for is not known beforehand.
+    Stable-Baselines3 knows only the steps. How many of them a time budget allows is not known beforehand, so that a
+    training that ends by the clock would end at, say, half its learning rate.
 
     Args:
-        model: The model that learns in the block.
-        used: Share of the budget used so far, 0 to 1.
+        model: The model that learns inside the `with` block.
+        used: Returns the share of the budget used so far, 0 to 1.
     """
     by_steps = model._update_current_progress_remaining
 
@@ -80,13 +86,21 @@ def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iter
 
 
 def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
-    """Take the policy out of a model, with how it was trained."""
+    """Take the policy out of a model, with a note of how it was trained.
+
+    Args:
+        model: The model.
+        task: Task name.
+        algo: Name of the file in zoo_configs that it was trained with.
+        seed: Training seed.
+        updates: Updates made.
+    """
     meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions()}
     return MlpPolicyFile.of(model, task=task, meta=meta)
 
 
 def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
-    """Write an SB3 checkpoint, as a whole or not at all."""
-    whole = io.BytesIO()
-    model.save(whole)
-    atomic_write(path, whole.getvalue())
+    """Write a model as an SB3 zip file, whole or not at all."""
+    buffer = io.BytesIO()
+    model.save(buffer)
+    atomic_write(path, buffer.getvalue())

@@ -1,4 +1,4 @@
-"""What watches a training: its history, and the limit of its time."""
+"""What watches a training run: the history that it leaves, and the limit of its time."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ class TrainingMonitor(BaseCallback):
     """Keeps the history of a run of any on-policy algorithm.
 
     Args:
-        history: Filled as training goes; a resumed run's holds what went before.
-        conditions: Of the task; episodes are counted in equal strata of difficulty.
-        between_updates: Called between two updates with the number of updates made so far, and at the end; False
-            ends training.
+        history: Filled during training; that of a resumed run contains what came before.
+        conditions: Those of the task; episodes are counted in equal strata of their difficulty.
+        between_updates: Called before every update and at the end with the number of updates made so far; returns
+            whether training continues.
     """
 
     def __init__(
-        self, history: TrainingHistory, conditions: ConditionSpace,
+        self,
+        history: TrainingHistory,
+        conditions: ConditionSpace,
         between_updates: Callable[[int], bool] = lambda updates: True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__()
         self.history = history
         self._conditions = conditions
         self._between_updates = between_updates
         self._optimizer_steps = history.optimizer_steps[-1] if history.optimizer_steps else 0
-        self._collected = self._goes_on = True
+        self._collected = self._continues = True
 
     def _on_training_start(self) -> None:
         self._collected = False
@@ -48,7 +50,7 @@ class TrainingMonitor(BaseCallback):
     def _on_rollout_start(self) -> None:
         self._close_update()
         self._successes, self._trials = np.zeros(STRATA, int), np.zeros(STRATA, int)
-        self._goes_on = self._between_updates(len(self.history))
+        self._continues = self._between_updates(len(self.history))
         self._clock = time.perf_counter(), time.process_time()
 
     def _on_step(self) -> bool:
@@ -59,7 +61,7 @@ class TrainingMonitor(BaseCallback):
             self._trials[stratum] += 1
             outcome = Outcome.of_info(info)
             self._successes[stratum] += outcome is not None and outcome.success
-        return self._goes_on
+        return self._continues
 
     def _on_rollout_end(self) -> None:
         history, model = self.history, self.model
@@ -70,18 +72,19 @@ class TrainingMonitor(BaseCallback):
         history.collect_cpu.append(cpu)
         history.timesteps.append(self.num_timesteps)
         if isinstance(model, FrontierGRPO):
-            won = np.asarray(model.last_group_success).mean(axis=1)
-            history.groups.append([int((won == 0).sum()), int(((won > 0) & (won < 1)).sum()), int((won == 1).sum())])
+            rates = np.asarray(model.last_group_success).mean(axis=1)
+            failed, succeeded = rates == 0, rates == 1
+            history.groups.append([int(kind.sum()) for kind in (failed, ~failed & ~succeeded, succeeded)])
         self._collected = True
 
     def _on_training_end(self) -> None:
         self._close_update()
         self._hook.remove()
-        if self._goes_on:
+        if self._continues:
             self._between_updates(len(self.history))
 
     def _close_update(self) -> None:
-        """Note what the optimisation that followed the last collection took."""
+        """Add to the history what the optimisation after the last collection took."""
         if not self._collected:
             return
         history = self.history
@@ -100,11 +103,11 @@ class TrainingMonitor(BaseCallback):
 
 
 class TimeLimit:
-    """Ends training when the time or the updates are up, and shows a bar with success by stratum.
+    """Ends training when the time or the updates are used up, and shows a bar with success by stratum.
 
     Args:
-        history: Of the run; the time that a resumed one has spent counts.
-        seconds: Wall time allowed; no update is begun that would not end in time.
+        history: Of the run; the time that earlier calls spent on it counts.
+        seconds: Wall time allowed; no update begins that is expected to end too late.
         updates: Updates allowed; None for no limit.
     """
 
@@ -114,12 +117,13 @@ class TimeLimit:
         self._start = self._last - sum(history.collect_wall) - sum(history.optimize_wall)
         self._longest = 0.0
         self._bar = tqdm(
-            total=round(seconds), unit="s",
+            total=round(seconds),
+            unit="s",
             bar_format="training {percentage:3.0f}%|{bar:20}| {n:.0f}/{total_fmt} s {postfix}",
-        )  # fmt: skip
+        )
 
     def __call__(self, updates: int) -> bool:
-        """Tell whether another update may begin."""
+        """Return whether another update may begin."""
         now = time.monotonic()
         if updates:
             self._longest = max(self._longest, now - self._last)
@@ -130,7 +134,7 @@ class TimeLimit:
         return not time_is_up and (self._updates is None or updates < self._updates)
 
     def used(self) -> float:
-        """Return the share of the time that is used, or of the updates before the one under way if that is larger."""
+        """Return the larger of two shares: of the time used, and of the updates made before the one under way."""
         time_share = (time.monotonic() - self._start) / self._seconds if self._seconds > 0 else 1.0
         update_share = max(0, len(self._history) - 1) / self._updates if self._updates else 0.0
         return min(1.0, max(time_share, update_share))
@@ -141,8 +145,6 @@ class TimeLimit:
 
 
 def describe_update(history: TrainingHistory) -> str:
-    """Put the last update's success, overall and by stratum, in a few characters."""
-    last = history.frontier()
-    rates = last.success[-1]
-    strata = sparkline(rates)
-    return f"success {last.overall[-1]:4.0%}, easy {strata} hard"
+    """Describe the last update's success, overall and by stratum, in a few characters."""
+    analysis = history.frontier()
+    return f"success {analysis.overall[-1]:4.0%}, easy {sparkline(analysis.success[-1])} hard"

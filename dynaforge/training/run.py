@@ -1,8 +1,8 @@
 """One training run of a comparison: on one core, stored as it proceeds, resumed after any interruption.
 
-`python -m dynaforge.training.run SPEC [end-with-stdin]`, which `dynaforge compare` starts, makes or finishes the run
-that SPEC, the JSON form of a `RunSpec`, describes. Each line that it prints is a JSON object with its progress. With
-the second argument it ends when its stdin is closed, that is when the process that started it is gone.
+`dynaforge compare` starts `python -m dynaforge.training.run SPEC [end-with-stdin]`, where SPEC is a `RunSpec` as JSON,
+to make or resume that run. Each line that it prints is a JSON object with its progress. With the second argument it
+ends when its stdin is closed, that is, when the process that started it is gone.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from dynaforge.training.history import STRATA, Probe
 from dynaforge.training.run_archive import EVALUATED
 from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation, RunSpec
 
-SAVED_EVERY = 5  # updates; a kill costs at most so many
-PROBED_EVERY = 5  # updates, between two probes
+SAVED_EVERY = 5  # updates; a kill loses at most this many
+PROBED_EVERY = 5  # updates
 END_WITH_STDIN = "end-with-stdin"
 
 
 def train(spec: RunSpec) -> None:
-    """Make the run, or what is missing of it."""
+    """Make the run, or resume it where it stopped."""
     from dynaforge.training.model import training_env
     from dynaforge.training.monitor import describe_update
     from dynaforge.training.stored_training import StoredTraining
@@ -71,7 +71,7 @@ def evaluate(task: Task, generator: Generator, evaluation: Evaluation, path: Pat
     """Evaluate a generator in this process and store every outcome.
 
     Args:
-        task: What is attempted.
+        task: The task.
         generator: What attempts it.
         evaluation: The conditions.
         path: The JSON file to write.
@@ -80,35 +80,44 @@ def evaluate(task: Task, generator: Generator, evaluation: Evaluation, path: Pat
         GaveUp: The generator only raises, so that there is nothing to measure.
     """
     env = ResidualEnv(task)
-    rows = []
-    results = (attempt_once(env, generator, condition) for _, condition in evaluation.conditions(task))
+    conditions = list(evaluation.conditions(task))
+    results = (attempt_once(env, generator, condition) for _, condition in conditions)
     sound = refuse_if_all_raise(results, generator=generator.name)
-    for (block, condition), result in zip(evaluation.conditions(task), sound, strict=True):
+    rows = []
+    for (block, condition), result in zip(conditions, sound, strict=True):
         outcome = str(result.attempt.outcome)
         rows.append({"block": block, "id": condition.id, "difficulty": condition.difficulty, "outcome": outcome})
-        total = evaluation.blocks * evaluation.attempts
-        report_progress(text=f"measuring on {evaluation.stream}, {len(rows)} of {total}")
+        report_progress(text=f"measuring on {evaluation.stream}, {len(rows)} of {len(conditions)}")
     env.close()
-    data = {
+    header = {
         "task": task.name,
         "generator": generator.name,
         "exam": asdict(evaluation),
         "versions": package_versions(),
     }
+    atomic_write(path, _one_line_per_attempt(header, rows).encode())
+
+
+def _one_line_per_attempt(header: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    """Return JSON with the keys of the header, and below them "attempts" with one line per row."""
+    opened = json.dumps(header, indent=1).removesuffix("\n}")
     lines = ",\n  ".join(json.dumps(row) for row in rows)
-    text = json.dumps(data, indent=1)[:-2] + f',\n "attempts": [\n  {lines}\n ]\n}}\n'
-    atomic_write(path, text.encode())
+    return f'{opened},\n "attempts": [\n  {lines}\n ]\n}}\n'
 
 
 class Prober:
-    """Evaluates a policy without exploration noise on one `val` condition of every stratum, new ones at every call."""
+    """Evaluates a policy without exploration noise on one `val` condition of every stratum, new ones at every update.
+
+    Args:
+        task: The task.
+    """
 
     def __init__(self, task: Task) -> None:
         self._task = task
         self._env = ResidualEnv(task)
 
     def probe(self, policy: Any, *, update: int, timesteps: int) -> Probe:
-        """Run the episodes; equal updates meet equal conditions, whatever is trained.
+        """Attempt the conditions of an update, which are the same for every run.
 
         Args:
             policy: Maps an observation to a residual action.
@@ -122,12 +131,12 @@ class Prober:
 
 
 def report_progress(**progress: Any) -> None:
-    """Tell the process that started this one how far it is."""
+    """Tell the process that started this one how far the run is."""
     print(json.dumps(progress), flush=True)
 
 
 def main() -> int:
-    """Make the run, or evaluate the planner, that the first argument describes."""
+    """Make the run that the first argument describes."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     if sys.argv[2:] == [END_WITH_STDIN]:
         end_after(sys.stdin.fileno())

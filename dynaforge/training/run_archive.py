@@ -1,7 +1,7 @@
 """The finished runs of a task in one file, `TASK/runs.json`, so that their folders need not be kept.
 
-It contains the JSON files of each run: settings and versions, training history, outcome on every condition. Table and
-figures of `dynaforge compare` are computed from these; policies are not in it.
+It contains the JSON files of each run: settings and versions, training history, outcome on every condition. The table
+and the figures of `dynaforge compare` are computed from these. Policies are not in it.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from dynaforge.files.atomic import atomic_write
 
 ARCHIVE = "runs.json"
 EVALUATED = "exam.json"
-"""The file that a run's evaluation is stored in, written last."""
+"""The file with a run's evaluation, written last."""
 
 RUN_FILES = ("run.json", "history.json", EVALUATED)
 
 RunFiles = dict[str, Any]
-"""Name of a file of a run to its content."""
+"""The files of a run: name to content."""
 
 
 def read_run(folder: Path) -> RunFiles:
     """Return the files of a finished run: from its folder or, where that is gone, from the archive of its task.
 
     Raises:
-        ValueError: A file or the archive is damaged; names it.
+        ValueError: A file or the archive is damaged; the message names it.
     """
     if not (folder / EVALUATED).is_file():
         return read_archive(_archive_of(folder)).get(_key(folder), {})
@@ -36,7 +36,7 @@ def read_run(folder: Path) -> RunFiles:
 
 
 def is_finished(folder: Path) -> bool:
-    """Return whether a run came to its end, its evaluation included."""
+    """Return whether a run is complete, its evaluation included."""
     return (folder / EVALUATED).is_file() or _key(folder) in read_archive(_archive_of(folder))
 
 
@@ -51,40 +51,47 @@ def write_archives(folders: Iterable[Path]) -> None:
         path = _archive_of(folder)
         by_archive.setdefault(path, read_archive(path))[_key(folder)] = read_run(folder)
     for path, runs in by_archive.items():
-        conditions: list[dict[str, Any]] = []
-        lines = []
-        for key, files in sorted(runs.items()):
-            evaluated = dict(files[EVALUATED])
-            attempts = [dict(attempt) for attempt in evaluated.pop("attempts")]
-            evaluated["outcomes"] = [attempt.pop("outcome") for attempt in attempts]
-            if attempts != (conditions := conditions or attempts):
-                raise ValueError(f"The runs in {path} were evaluated on different conditions.")
-            lines.append(f"{json.dumps(key)}: {json.dumps({**files, EVALUATED: evaluated})}")
-        listed, stored = ",\n".join(map(json.dumps, conditions)), ",\n".join(lines)
-        atomic_write(path, f'{{"conditions": [\n{listed}\n], "runs": {{\n{stored}\n}}}}\n'.encode())
-    _parsed.cache_clear()  # clocks of file systems are too coarse to tell two writings apart
+        atomic_write(path, _archive_text(path, runs).encode())
+    _parsed.cache_clear()  # the clock of a file system may be too coarse to tell two writes apart
+
+
+def _archive_text(path: Path, runs: Mapping[str, RunFiles]) -> str:
+    """Return the JSON of an archive, one line per condition and per run; the runs share the list of conditions."""
+    conditions: list[dict[str, Any]] = []
+    lines = []
+    for key, files in sorted(runs.items()):
+        evaluated = dict(files[EVALUATED])
+        attempts = [dict(attempt) for attempt in evaluated.pop("attempts")]
+        evaluated["outcomes"] = [attempt.pop("outcome") for attempt in attempts]
+        conditions = conditions or attempts
+        if attempts != conditions:
+            raise ValueError(f"The runs in {path} were evaluated on different conditions.")
+        lines.append(f"{json.dumps(key)}: {json.dumps({**files, EVALUATED: evaluated})}")
+    listed, stored = ",\n".join(map(json.dumps, conditions)), ",\n".join(lines)
+    return f'{{"conditions": [\n{listed}\n], "runs": {{\n{stored}\n}}}}\n'
 
 
 def read_archive(path: Path) -> dict[str, RunFiles]:
-    """Return the files of every run in an archive by the run's name; nothing where there is no archive.
+    """Return the files of every run in an archive by the run's name; empty where there is no archive.
 
     Raises:
-        ValueError: It is damaged.
+        ValueError: The archive is damaged.
     """
     return dict(_parsed(path, path.stat().st_mtime_ns)) if path.is_file() else {}
 
 
 @lru_cache(maxsize=16)
 def _parsed(path: Path, written_at: int) -> dict[str, RunFiles]:
-    """Read an archive once for as long as it is not replaced."""
+    """Read an archive, once until it is written again: `written_at` is only part of the key of the cache."""
     try:
         data = json.loads(path.read_text())
         return {key: _with_attempts(files, data["conditions"]) for key, files in data["runs"].items()}
     except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no archive of runs: {type(error).__name__}: {error}.") from error
+        raise ValueError(f"{path} is not an archive of runs: {type(error).__name__}: {error}.") from error
 
 
 def _with_attempts(files: Mapping[str, Any], conditions: list[dict[str, Any]]) -> RunFiles:
+    """Return a run's files as they were before archiving, each outcome beside its condition again."""
     evaluated = dict(files[EVALUATED])
     outcomes = evaluated.pop("outcomes")
     evaluated["attempts"] = [c | {"outcome": outcome} for c, outcome in zip(conditions, outcomes, strict=True)]
@@ -97,6 +104,7 @@ def _archive_of(folder: Path) -> Path:
 
 
 def _key(folder: Path) -> str:
+    """Return the name of a run in the archive: its folder below that of the task."""
     return folder.relative_to(_archive_of(folder).parent).as_posix()
 
 
@@ -104,4 +112,4 @@ def _read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text())
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no readable JSON: {error}.") from error
+        raise ValueError(f"{path} is not readable JSON: {error}.") from error

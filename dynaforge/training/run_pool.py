@@ -17,16 +17,16 @@ from tqdm import tqdm
 from dynaforge.training.run import END_WITH_STDIN
 from dynaforge.training.run_spec import RunSpec
 
-LONGEST_WAIT = 5.0  # seconds, after which the deadline is looked at again
+LONGEST_WAIT = 5.0  # seconds between two looks at the deadline
 
 
 class RunPool:
-    """Processes that make runs, as many at a time as there are cores.
+    """Processes that make runs, one run each, a limited number at a time.
 
     Args:
         specs: Runs to make, in order.
         size: Processes at a time.
-        seconds: Wall time after which they are stopped; what is stored stays.
+        seconds: Wall time after which they are stopped; what they have stored stays.
     """
 
     def __init__(self, specs: Sequence[RunSpec], size: int, *, seconds: float) -> None:
@@ -43,7 +43,7 @@ class RunPool:
         """Make the runs.
 
         Returns:
-            Whether all were finished: not when the time was up, at Ctrl-C, or when a run failed.
+            Whether all of them were finished; False when time ran out, at Ctrl-C, or when a run failed.
         """
         total, n_runs, finished = sum(spec.steps for spec in self._waiting), len(self._waiting), 0
         with tqdm(total=total, unit="step", unit_scale=True, smoothing=0.02, dynamic_ncols=True, mininterval=1) as bar:

@@ -1,4 +1,4 @@
-"""What one training run of a comparison is: its task, its variant, and how the final policy is evaluated."""
+"""The definition of one training run of a comparison: task, variant, seed, and how its final policy is evaluated."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Evaluation:
     """The conditions on which a final policy is evaluated.
 
     Attributes:
-        stream: Condition stream.
-        blocks: Blocks of the stream.
-        attempts: Conditions per block.
+        stream: Name of the condition stream.
+        blocks: How many blocks of the stream.
+        attempts: How many conditions of each block.
     """
 
     stream: str = "test"
@@ -34,7 +34,7 @@ class Evaluation:
     attempts: int = 100
 
     def conditions(self, task: Task) -> Iterator[tuple[int, Condition]]:
-        """Iterate over (block, condition)."""
+        """Yield every condition with the number of its block."""
         for block in range(self.blocks):
             for condition in islice(task.conditions.stream(self.stream, block), self.attempts):
                 yield block, condition
@@ -45,13 +45,13 @@ class RunSpec:
     """A training run: what it learns, how, and how it is evaluated.
 
     Attributes:
-        task: Task name, or path of its file.
-        variant: The configuration's name in tables; `PLANNER_ONLY` trains nothing.
-        algo: File of zoo_configs.
+        task: Task name, or path of a task file.
+        variant: Name of the variant in tables; `PLANNER_ONLY` trains nothing.
+        algo: Name of a file in zoo_configs, without its ending.
         changes: Settings in which the variant differs from that file.
         seed: Training seed.
-        steps: Environment steps; the update under way is finished.
-        evaluation: What the final policy is evaluated on.
+        steps: Environment steps to train for; the update under way is finished.
+        evaluation: Conditions on which the final policy is evaluated.
         folder: Where the run is stored.
     """
 
@@ -65,7 +65,7 @@ class RunSpec:
     folder: Path
 
     def to_json(self) -> str:
-        """Return it as one line of JSON."""
+        """Return the spec as one line of JSON."""
         return json.dumps(self._stored() | {"folder": str(self.folder)})
 
     @staticmethod
@@ -76,49 +76,50 @@ class RunSpec:
         return RunSpec(**data | {"variant": variant, "evaluation": evaluation, "folder": Path(data["folder"])})
 
     def identity(self) -> dict[str, Any]:
-        """Return what identifies the run, as plain JSON data; its folder and the file of its task may move."""
+        """Return what identifies the run as plain JSON data: not its folder or its task file, which may move."""
         task = get_task(self.task)
         definition = {"task_definition": task_digest(task)} if self.task != task.name else {}
         return self._stored() | {"task": task.name} | definition
 
     def settings(self) -> dict[str, Any]:
-        """Return the hyperparameters: those of zoo_configs with the changes."""
+        """Return the hyperparameters: those of zoo_configs with the changes of the variant."""
         settings = hyperparameters(self.algo, self.task, self.changes)
-        return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` says it
+        return {name: value for name, value in settings.items() if name != "n_timesteps"}  # `steps` replaces it
 
     @property
     def finished(self) -> bool:
-        """Whether the run came to its end, its evaluation included."""
+        """Whether the run is complete, its evaluation included."""
         return is_finished(self.folder)
 
     def check(self) -> None:
-        """Compare the run with what its folder, or the archive of its task, contains.
+        """Check that its folder, or the archive of its task, contains no other run than this one.
 
         Raises:
-            ValueError: It contains another run, or one with settings that zoo_configs no longer has.
+            ValueError: There is another run, or one with settings that zoo_configs no longer has.
         """
         path = self.folder / "run.json"
-        archived: Any = None if path.is_file() else read_run(self.folder).get("run.json")
-        if not path.is_file() and archived is None:
-            return
+        in_folder = path.is_file()
+        archived: Any = None if in_folder else read_run(self.folder).get("run.json")
+        if not in_folder and archived is None:
+            return  # nothing is stored yet
         try:
-            metadata = json.loads(path.read_text()) if path.is_file() else archived
+            metadata = json.loads(path.read_text()) if in_folder else archived
             stored = metadata["run"] | {"settings": metadata["settings"]}
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(
                 f"{path} does not describe a run ({error!r}). Choose another --out, or remove it."
             ) from None
-        asked = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
+        requested = self.identity() | {"settings": json.loads(json.dumps(self.settings()))}
         # The changes are part of the settings, which are compared as a whole.
-        differ = [name for name in asked if name != "changes" and asked[name] != stored.get(name)]
+        differ = [name for name in requested if name != "changes" and requested[name] != stored.get(name)]
         if differ:
-            was, now = ({name: side.get(name) for name in differ} for side in (stored, asked))
+            was, now = ({name: side.get(name) for name in differ} for side in (stored, requested))
             raise ValueError(
                 f"{self.folder} holds a run with {was}, now {now} is asked for. Choose another --out, or remove it."
             )
 
     def _stored(self) -> dict[str, Any]:
-        """Return the fields under the names of the stored format, without the folder."""
+        """Return the fields under their stored names, without the folder."""
         return {
             "task": self.task,
             "arm": self.variant,

@@ -1,4 +1,4 @@
-"""The one place that decides with which hyperparameters a task is trained: by `forge`, `train` and `compare` alike."""
+"""The one place that decides which hyperparameters `forge`, `train` and `compare` train a task with."""
 
 from __future__ import annotations
 
@@ -25,22 +25,27 @@ def config_file(algo: str) -> Path | None:
 
 
 def entry_of(listed: Mapping[str, Any], env: str) -> str | None:
-    """Return the name of the entry that an env takes from a hyperparameter file, or None where there is none.
+    """Return the name of the entry of a hyperparameter file that applies to an env, or None if none does.
 
-    Its own; else, for the residual env of a user-defined task, that of `SETTINGS_FOR_OWN_TASKS`; else the default of
-    the file for all envs.
+    That is the env's own entry; else, for the residual env of a user-defined task, that of `SETTINGS_FOR_OWN_TASKS`;
+    else the file's default for all envs.
+
+    Args:
+        listed: The content of the file.
+        env: Env id.
     """
     task = task_named(env)
     own = task in TASK_FILES and env == env_id(task)
-    return next((name for name in (env, SETTINGS_FOR_OWN_TASKS if own else env, "default") if name in listed), None)
+    candidates = (env, SETTINGS_FOR_OWN_TASKS, "default") if own else (env, "default")
+    return next((name for name in candidates if name in listed), None)
 
 
 def hyperparameters(algo: str, task: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Read an entry of zoo_configs.
 
     Args:
-        algo: Which file.
-        task: Task name, env id or file.
+        algo: Name of the file.
+        task: Task name, env id or task file.
         changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
 
     Raises:
@@ -69,8 +74,8 @@ def recommended(env: str, algo: str = "frontier_grpo", **changes: Any) -> dict[s
     file says besides, how many envs to collect in and for how many steps, is in `hyperparameters`.
 
     Args:
-        env: Env id, task name or file.
-        algo: Which file of zoo_configs.
+        env: Env id, task name or task file.
+        algo: Name of a file in zoo_configs.
         changes: Settings that differ from it; None leaves a setting to the algorithm's own default.
 
     Raises:
@@ -80,12 +85,12 @@ def recommended(env: str, algo: str = "frontier_grpo", **changes: Any) -> dict[s
 
 
 def model_arguments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what of an entry of zoo_configs a model's constructor takes, besides policy and env."""
+    """Return the settings of an entry of zoo_configs that a model's constructor takes, besides policy and env."""
     return {name: _scheduled(value) for name, value in settings.items() if name not in RUN_SETTINGS}
 
 
 def _scheduled(value: Any) -> Any:
-    """Turn "lin_1e-3" into a linear decay to zero over the run, as rl-zoo configs mean it."""
+    """Turn "lin_1e-3" into a linear decay to zero over the run, as rl_zoo3 does."""
     if isinstance(value, str) and value.startswith("lin_"):
         from stable_baselines3.common.utils import LinearSchedule
 
@@ -94,7 +99,7 @@ def _scheduled(value: Any) -> Any:
 
 
 def variants() -> dict[str, dict[str, Any]]:
-    """Read zoo_configs/compare.yml: name of each variant of `compare` to its file and settings."""
+    """Read zoo_configs/compare.yml: the name of each variant of `compare`, and its file and settings."""
     text = files("dynaforge.zoo_configs").joinpath("compare.yml").read_text(encoding="utf-8")
     return dict(yaml.safe_load(text))
 

@@ -20,15 +20,15 @@ class StoredRun:
     """A finished run.
 
     Attributes:
-        task: Name of its task.
-        variant: Name of its variant; `PLANNER_ONLY` was not trained.
+        task: Name of the task.
+        variant: Name of the variant; `PLANNER_ONLY` was not trained.
         seed: Training seed.
-        settings: Hyperparameters that it was trained with.
-        history: History of its training; None for the planner.
-        success: Success of the final policy on the conditions of its evaluation, shape (C,).
-        conditions: Their ids.
-        failures: Reasons of the failures.
-        evaluation: Those conditions.
+        settings: Hyperparameters of the training; empty for the planner.
+        history: History of the training; None for the planner.
+        success: Success of the final policy on each condition of its evaluation, shape (C,).
+        conditions: Ids of these conditions.
+        failures: Reason of each failed attempt.
+        evaluation: Stream and blocks that the conditions were taken from.
     """
 
     task: str
@@ -45,7 +45,7 @@ class StoredRun:
 
     @staticmethod
     def load(folder: Path) -> StoredRun:
-        """Read a run by its folder, which need not exist if the run is in the archive of its task.
+        """Read a run from its folder or, where that is gone, from the archive of its task.
 
         Raises:
             ValueError: A file is damaged.
@@ -70,5 +70,5 @@ class StoredRun:
 
     @property
     def rate(self) -> float:
-        """Demonstration generation rate."""
+        """Demonstration generation rate: the share of attempts that succeeded."""
         return float(self.success.mean())

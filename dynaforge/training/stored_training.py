@@ -20,13 +20,13 @@ HISTORY = "history.json"
 
 
 class StoredTraining:
-    """A model in training and the folder where its training checkpoint and history are kept.
+    """A model in training, and the folder where its training checkpoint and history are stored.
 
     Args:
-        folder: Where they are kept; what an earlier call left there is resumed.
-        task: What is learned.
+        folder: Where they are stored; what an earlier call left there is resumed.
+        task: The task.
         env: The env to collect in.
-        algo: File of zoo_configs.
+        algo: Name of a file in zoo_configs.
         seed: Training seed.
         changes: Settings in which the training differs from that file.
 
@@ -54,7 +54,7 @@ class StoredTraining:
         return self._folder / CHECKPOINT
 
     def learn(self, timesteps: int, between_updates: Callable[[int], bool]) -> None:
-        """Train until so many environment steps are made, those of earlier calls included.
+        """Train up to a number of environment steps, those of earlier calls included.
 
         Args:
             timesteps: Environment steps; the update under way is finished.
@@ -73,8 +73,8 @@ class StoredTraining:
     def save(self) -> None:
         """Write history and training checkpoint.
 
-        The history first: `up_to` shortens one that is ahead of its training checkpoint, while one behind it would
-        lack rows for good.
+        The history comes first: `up_to` shortens a history that is ahead of its training checkpoint, while one that is
+        behind it would lack rows for good.
         """
         self.history.save(self._folder / HISTORY)
         save_checkpoint(self.model, self.checkpoint)

@@ -1,4 +1,4 @@
-"""What `compare --vary` may set, and to which values: what needs no model to be refused."""
+"""What `compare --vary` may set, and to which values: the checks that need no model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from dynaforge.algos.options import WHOLE_NUMBERS, check_number, check_whole
 
-SET_OTHERWISE = {
+NOT_VARIED = {
     "n_timesteps": "what --steps says, for all variants alike",
     "seed": "counted up by --train-seeds",
     "device": "the CPU, one core per run",
@@ -18,28 +18,32 @@ SET_OTHERWISE = {
     "tensorboard_log": "no setting of training; the history of each run is stored beside it",
 }
 
-WHOLE = {name: (least, why) for name, least, why in WHOLE_NUMBERS} | {
+WHOLE_SETTINGS = {name: (least, why) for name, least, why in WHOLE_NUMBERS} | {
     "n_envs": (1, "episodes run in them"),
     "n_steps": (1, "an update needs a step"),
 }
 SHARES = ("gamma", "gae_lambda")
-NUMBERS = ("learning_rate", "clip_range", "clip_range_high", "ent_coef", "vf_coef", "max_grad_norm", *SHARES)
+NUMBER_SETTINGS = ("learning_rate", "clip_range", "clip_range_high", "ent_coef", "vf_coef", "max_grad_norm", *SHARES)
 
 
 def check_varied(setting: str, values: Iterable[str]) -> None:
     """Refuse a setting that the command sets itself, and values out of range.
 
+    Args:
+        setting: Name of the setting.
+        values: Its values as they stand on the command line.
+
     Raises:
-        ValueError: Names --vary, the setting and the value.
+        ValueError: The message names --vary, the setting and the value.
     """
-    if setting in SET_OTHERWISE:
-        raise ValueError(f"--vary: {setting} is {SET_OTHERWISE[setting]}")
+    if setting in NOT_VARIED:
+        raise ValueError(f"--vary: {setting} is {NOT_VARIED[setting]}")
     for text in values:
         value = parsed_value(text)
         try:
-            if setting in WHOLE and value is not None:
-                check_whole(setting, value, *WHOLE[setting])
-            elif setting in NUMBERS and value is not None and not str(value).startswith("lin_"):
+            if setting in WHOLE_SETTINGS and value is not None:
+                check_whole(setting, value, *WHOLE_SETTINGS[setting])
+            elif setting in NUMBER_SETTINGS and value is not None and not str(value).startswith("lin_"):
                 check_number(setting, value)
             if setting in SHARES and isinstance(value, int | float) and value > 1:
                 raise ValueError(f"{setting} is {value}, but must be at most 1.")
@@ -48,10 +52,10 @@ def check_varied(setting: str, values: Iterable[str]) -> None:
 
 
 def parsed_value(text: str) -> Any:
-    """Return what a value of --vary means: JSON where it is some, a word otherwise.
+    """Return the value that a text of --vary stands for: its JSON value, or the text itself where it is not JSON.
 
     Raises:
-        ValueError: No finite number.
+        ValueError: It is infinite or NaN.
     """
     try:
         parsed = json.loads(text)

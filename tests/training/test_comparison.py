@@ -16,7 +16,7 @@ STRATA = 4
 
 
 def history(success: list[float], *, optimizer_steps: int, probes: list[list[int]] | None = None) -> TrainingHistory:
-    """Training with this success at each update of 100 steps, 10 episodes a stratum, all strata alike."""
+    """Training with this success at each update of 100 steps, 10 rollouts per stratum, all strata alike."""
     n = len(success)
     return TrainingHistory(
         successes=[[round(10 * s)] * STRATA for s in success],
@@ -25,9 +25,12 @@ def history(success: list[float], *, optimizer_steps: int, probes: list[list[int
         timesteps=[100 * (k + 1) for k in range(n)],
         optimizer_steps=[optimizer_steps * (k + 1) // n for k in range(n)],
         transitions_used=[10 * (k + 1) for k in range(n)],
-        collect_wall=[1.0] * n, collect_cpu=[60.0] * n, optimize_wall=[1.0] * n, optimize_cpu=[6.0] * n,
+        collect_wall=[1.0] * n,
+        collect_cpu=[60.0] * n,
+        optimize_wall=[1.0] * n,
+        optimize_cpu=[6.0] * n,
         probes=[Probe(k, 100 * k, [bool(x) for x in row]) for k, row in enumerate(probes or [])],
-    )  # fmt: skip
+    )
 
 
 def run(task: str, variant: str, seed: int, successes: int, trained: TrainingHistory | None) -> StoredRun:
@@ -80,18 +83,18 @@ def test_the_figures_of_a_variant() -> None:
 
 
 def test_steps_to_vanilla_without_exploration_are_those_of_three_probes() -> None:
-    """Vanilla's last five probes win 1 of 2 on average; the other arm's first three do."""
+    """Vanilla's last five probes succeed on 1 of 2 strata on average; the first three of the other variant do."""
     vanilla = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0], [1, 0], [1, 0], [1, 0], [1, 0], [1, 0]])
     faster = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0], [1, 0], [1, 1], [1, 0], [1, 1], [1, 1]])
     never = history([0.5] * 6, optimizer_steps=1, probes=[[0, 0]] * 6)
-    runs = [run("can", arm, 0, 5, trained) for arm, trained in (("grpo", vanilla), ("x", faster), ("y", never))]
+    runs = [run("can", name, 0, 5, trained) for name, trained in (("grpo", vanilla), ("x", faster), ("y", never))]
     comparison = Comparison(tuple(runs))
-    greedy = [comparison.summary("can", arm).greedy_steps_to_vanilla for arm in ("grpo", "x", "y")]
-    assert greedy == [300.0, 200.0, float("inf")]
-    assert [comparison.summary("can", arm).late for arm in ("grpo", "x", "y")] == [0.5, 0.8, 0.0]
+    summaries = [comparison.summary("can", name) for name in ("grpo", "x", "y")]
+    assert [summary.probe_steps_to_vanilla for summary in summaries] == [300.0, 200.0, float("inf")]
+    assert [summary.final_probes for summary in summaries] == [0.5, 0.8, 0.0]
 
 
-def test_the_table_holds_every_arm_and_the_ratios() -> None:
+def test_the_table_holds_every_variant_and_the_ratios() -> None:
     table = comparison_table(RUNS)
     row = next(line for line in table.splitlines() if "frontier_grpo" in line)
     for cell in ("90.0", "10", "+40.0", "0.25 x", "4.0", "0.40"):
@@ -109,7 +112,7 @@ def test_seeds_that_end_apart_are_compared_by_their_mean_curve() -> None:
             run("can", "frontier_grpo", 1, 0, slower),
         )
     )
-    # Vanilla's seeds end at trailing means of .25 and 0, .125 together, where the other arm's are after one update.
+    # Vanilla's seeds end at trailing means of .25 and 0: .125 together, which the other reaches after one update.
     assert comparison.summary("can", "grpo").steps_to_vanilla == 400.0
     assert comparison.summary("can", "frontier_grpo").steps_to_vanilla == 100.0
 
@@ -124,9 +127,9 @@ def test_what_is_not_reached_is_a_dash() -> None:
 
 def test_strata_that_are_forgotten_are_counted() -> None:
     probes = [[1, 1, 0, 1], [1, 1, 0, 1], [1, 0, 1, 1], [1, 0, 1, 0], [1, 0, 0, 1]]
-    lost = history([0.5] * 5, optimizer_steps=1, probes=probes)
-    comparison = Comparison((run("can", "grpo", 0, 5, lost),))
-    # Stratum 1 was won twice running and is lost in the last two probes; stratum 3 came back.
+    forgetful = history([0.5] * 5, optimizer_steps=1, probes=probes)
+    comparison = Comparison((run("can", "grpo", 0, 5, forgetful),))
+    # Stratum 1 succeeded in two probes in a row and failed in the last two; stratum 3 succeeded again.
     assert comparison.summary("can", "grpo").forgotten == pytest.approx(0.25)
 
 

@@ -46,14 +46,21 @@ def test_it_survives_a_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "[]", '{"probes": 3}', '{"successes": []}', '{"probes": [], "unknown": 1}', '{"probes": [], "groups": 3}',
-        '{"probes": [], "timesteps": ["x"]}', '{"probes": [], "trials": [[1, null]]}', "[" * 10**5,
+        "",
+        "[]",
+        '{"probes": 3}',
+        '{"successes": []}',
+        '{"probes": [], "unknown": 1}',
+        '{"probes": [], "groups": 3}',
+        '{"probes": [], "timesteps": ["x"]}',
+        '{"probes": [], "trials": [[1, null]]}',
+        "[" * 10**5,
         '{"probes": [{"update": 1, "timesteps": NaN, "success": []}]}',
         '{"probes": [{"update": 1, "timesteps": 1, "success": 3}]}',
     ],
-)  # fmt: skip
+)
 def test_another_file_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "history.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"history\.json is no training history"):
+    with pytest.raises(ValueError, match=r"history\.json is not a training history"):
         TrainingHistory.load(path)

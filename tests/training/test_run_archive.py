@@ -67,7 +67,7 @@ def test_a_damaged_archive_is_named_in_one_line(text: str, tmp_path: Path, capsy
     (tmp_path / "can" / ARCHIVE).write_text(text)
     assert main(["compare", "--task", "can", "--algos", "grpo", "--report-only", "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err
-    assert f"{tmp_path / 'can' / ARCHIVE} is no archive of runs" in said
+    assert f"{tmp_path / 'can' / ARCHIVE} is not an archive of runs" in said
     assert said.count("\n") == 1
 
 
