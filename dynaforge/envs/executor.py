@@ -13,7 +13,7 @@ from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
 from dynaforge.tasks.view import PhaseView, heading_frames
-from dynaforge.tasks.words import aim, judge
+from dynaforge.tasks.words import evaluate_predicate, evaluate_target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,10 +142,10 @@ class PhaseExecutor:
         self.action = PlannedAction(HandTarget(self._target, phase.width), phase.gate, self.index, sample)
 
     def _holds(self, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> bool:
-        return judge(self._place, role, predicate, view, target)
+        return evaluate_predicate(self._place, role, predicate, view, target)
 
     def _aim(self, view: PhaseView) -> Pose:
-        return aim(self._place, self.phase.target, view)
+        return evaluate_target(self._place, self.phase.target, view)
 
     def _view(self, state: SceneState) -> PhaseView:
         return PhaseView(

@@ -1,4 +1,4 @@
-"""The vocabulary (phases, targets, predicates, conditions) and the tasks written in it."""
+"""The vocabulary of tasks (phases, targets, predicates, conditions) and the tasks written in it."""
 
 from __future__ import annotations
 
@@ -26,28 +26,29 @@ __all__ = [
     "ResidualSpec",
     "Task",
     "get_task",
+    "suggestion",
     "task_file_name",
     "task_source",
-    "what_was_meant",
 ]
 
 TASK_NAMES = tuple(name for name in ENV_NAMES if name not in TASK_FILES)
-"""Every task of the package: a module here with a `TASK`."""
+"""The tasks of the package: each is a module here that defines `TASK`."""
 
 
 def get_task(given: str) -> Task:
-    """Return a task by its name, by the id of one of its envs, or by its file such as "ball.py".
+    """Return a task by its name, by the id of one of its envs, or by the path of its file, such as "ball.py".
 
-    A task file is imported as a module of its own name, so that workers find it too, and its envs are registered: from
-    then on the task's name and ids stand for the file, here and in processes that are started later. Importing runs
-    the code in it, so never pass a path that was read from somebody's data.
+    A task file is imported as a module named after the file, so that workers find it too, and its envs are registered:
+    from then on the task's name and env ids work in place of the path, here and in processes that are started later.
+    Importing runs the code in the file, so never pass a path that was read from somebody else's data.
 
     Args:
-        given: "can", "DynaForge/Can-v0", "DynaForge/CanTask-v0", either with "dynaforge:" before it, in whatever case;
-            or a path that ends in ".py".
+        given: A name such as "can"; an env id such as "DynaForge/Can-v0" or "DynaForge/CanTask-v0", with or without
+            "dynaforge:" in front, in upper or lower case; or a path that ends in ".py".
 
     Raises:
-        ValueError: No such task; a close match is named. Or the file holds none, cannot be run, or its name is taken.
+        ValueError: There is no such task (the message names a close match), or the file defines none, cannot be
+            imported, or uses a name that is taken.
     """
     if not isinstance(given, str):
         raise ValueError(
@@ -57,7 +58,7 @@ def get_task(given: str) -> Task:
         return task_of_file(Path(given).resolve())
     name = task_named(given)
     if name is None:
-        raise ValueError(f"No task {given!r}. {what_was_meant(given)}")
+        raise ValueError(f"No task {given!r}. {suggestion(given)}")
     if name in TASK_FILES:
         return task_of_file(Path(TASK_FILES[name]))
     task: Task = import_module(f"dynaforge.tasks.{name}").TASK
@@ -65,25 +66,30 @@ def get_task(given: str) -> Task:
 
 
 def task_source(task: Task) -> str:
-    """Return what names a task in any process, for `get_task` and `TaskEnv`: its name, or the path of its file."""
+    """Return the string by which `get_task` finds a task in any process: its name, or the path of its file."""
     return TASK_FILES.get(task.name, task.name)
 
 
 def task_file_name(task: Task) -> str:
-    """Return the name of the file that a task of one's own came from, without its folders; "" for any other."""
+    """Return the file name, without folders, of a user-defined task; "" for a task of the package."""
     return Path(TASK_FILES.get(task.name, "")).name
 
 
-def what_was_meant(given: str, *, among: Iterable[str] = ()) -> str:
-    """Say what may have been meant by a task that does not exist; or by an env, if ids are given to look among."""
+def suggestion(given: str, *, among: Iterable[str] = ()) -> str:
+    """Return a sentence that says which task or env was probably meant by a name that does not exist.
+
+    Args:
+        given: The name.
+        among: Further env ids to compare it with.
+    """
     known = {text.lower(): text for name in ENV_NAMES for text in (name, *env_ids(name))}
     known |= {text.lower(): text for text in among}
-    bare = given.removeprefix("dynaforge:").lower()
-    stem = bare.removeprefix("dynaforge/").removesuffix("-v0")
-    files = [name for name in (f"{stem}.py", f"{stem.removesuffix('task')}.py") if Path(name).is_file()]
+    name = given.removeprefix("dynaforge:").lower()
+    stem = name.removeprefix("dynaforge/").removesuffix("-v0")
+    files = [file for file in (f"{stem}.py", f"{stem.removesuffix('task')}.py") if Path(file).is_file()]
     if files:
         return f"If you mean the task of {files[0]}, give that file in its place."
-    close = difflib.get_close_matches(bare, known, n=1)
+    close = difflib.get_close_matches(name, known, n=1)
     if close:
         return f"Did you mean {known[close[0]]!r}?"
     return f"Known are {', '.join(ENV_NAMES)}, the ids of their envs, and files such as ball.py."

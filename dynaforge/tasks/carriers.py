@@ -1,4 +1,4 @@
-"""Carriers: fixtures that move what they carry to and fro on a rail, or round and round on an arm."""
+"""Carriers: fixtures that move what they carry back and forth on a rail, or in circles on an arm."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from dynaforge.geometry import Array, Pose, rotation_z
 from dynaforge.sim.spec import Drive, Placement
 
 DRIVEN = ("slide", "turn")
-LEVELLED = (*DRIVEN, "level")  # of a carrier with a third joint, at the arm's end
+LEVELLED = (*DRIVEN, "level")  # the joints of a carrier with a third one, at the end of its arm
 
 
 def carrier(centre: Array, speed: float, *, yaw: float, phase: float, arm: float, swing: float) -> Placement:
     """Place a carrier so that what it carries moves about a centre.
 
-    Its URDF has a joint `slide` along y of its base, on that a joint `turn` about z, and on that an arm along x.
+    Its URDF has a joint `slide` along the base's y axis, after it a joint `turn` about z, and after that an arm along
+    x.
 
     Args:
-        centre: Of the swing or of the circle, on the table, metres, shape (3,).
-        speed: Its magnitude is the peak speed, m/s; below zero it slides to and fro, else it turns.
-        yaw: Of the base, radians: the rail stands across it.
-        phase: In its swing or on its circle at t = 0, radians in [-pi, pi]; by its sign a carrier turns left or right.
+        centre: Centre of the oscillation or of the circle, on the table, metres, shape (3,).
+        speed: Its magnitude is the peak speed, m/s. Below zero the carrier slides back and forth, otherwise it turns.
+        yaw: Yaw of the base, radians.
+        phase: Phase of the oscillation, or angle on the circle, at t = 0, radians in [-pi, pi]. Its sign is the
+            direction in which a carrier turns.
         arm: Length of the arm, metres.
-        swing: Amplitude to and fro, metres.
+        swing: Amplitude of the oscillation, metres.
     """
     base = rotation_z(yaw)
     if speed >= 0.0:
@@ -34,14 +36,23 @@ def carrier(centre: Array, speed: float, *, yaw: float, phase: float, arm: float
 
 
 def levelled(placement: Placement, spin: float) -> Placement:
-    """Let the joint `level` at the arm's end undo the arm's turning: what is carried turns at `spin` rad/s only."""
+    """Drive the joint `level` at the end of the arm so that what is carried turns at `spin` rad/s only.
+
+    The joint undoes the turning of the arm.
+    """
     turn = placement.drives.get("turn", Drive())
     level = Drive(start=-turn.start, rate=spin - turn.rate)
     return Placement(placement.pose, {**placement.drives, "level": level})
 
 
 def carried(placement: Placement, *, arm: float, height: float) -> tuple[Pose, Array, Array]:
-    """Return pose, velocity and angular velocity, world frame, of the arm's end at t = 0, `height` above the base."""
+    """Return pose, velocity and angular velocity of the end of the arm at t = 0, in the world frame.
+
+    Args:
+        placement: The carrier, as `carrier` and `levelled` place it.
+        arm: Length of the arm, metres.
+        height: Height of the point above the base, metres.
+    """
     base = placement.pose
     slide, turn, level = (placement.drives.get(name, Drive()) for name in LEVELLED)
     z = np.array((0.0, 0.0, 1.0))

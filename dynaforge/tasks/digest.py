@@ -1,4 +1,4 @@
-"""A fingerprint of a task's definition: two recordings of equal fingerprint are of the same task."""
+"""The digest of a task's definition: recordings with equal digests are of the same task."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from dynaforge.sim.spec import asset_path
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.task import Task
 
-_known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept, so that its id stays its own
+_known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept too, so that its id is not reused
 
 
 def task_digest(task: Task) -> str:
-    """Return 16 hex digits over everything that defines the task: data, the code of its functions, its URDFs.
+    """Return 16 hex digits that identify a task's definition: its data, the source of its functions, its URDFs.
 
-    Camera, sentences and units do not count, since they only describe; the vocabulary's own code does not either, the
-    package version stands for it.
+    The camera, sentences and units are left out, because they only describe the task. So is the code of the
+    vocabulary, which the package version identifies.
     """
     if id(task) not in _known:
         digest = hashlib.sha256()
@@ -32,7 +32,7 @@ def task_digest(task: Task) -> str:
     return _known[id(task)][1]
 
 
-_APART: dict[type, tuple[str, ...]] = {
+_EXCLUDED: dict[type, tuple[str, ...]] = {
     Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name"),
     ConditionSpace: ("units",),
 }
@@ -43,7 +43,7 @@ def _parts(name: str, value: Any) -> Iterator[bytes]:
     if is_dataclass(value) and not isinstance(value, type):
         yield type(value).__name__.encode()
         for f in fields(value):
-            if f.name not in _APART.get(type(value), ()):
+            if f.name not in _EXCLUDED.get(type(value), ()):
                 yield from _parts(f.name, getattr(value, f.name))
     elif isinstance(value, Enum):
         yield value.name.encode()
@@ -66,5 +66,5 @@ def _parts(name: str, value: Any) -> Iterator[bytes]:
 def _source(function: Any) -> str:
     try:
         return inspect.getsource(function)
-    except (OSError, TypeError):  # typed at a prompt, or built in
+    except (OSError, TypeError):  # defined at a prompt, or built in
         return f"{function.__module__}.{function.__qualname__}"

@@ -13,7 +13,7 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.insertion import from_rack, into
+from dynaforge.tasks.insertion import insertion_phases, rack_pick_phases
 from dynaforge.tasks.predicates import (
     All,
     Around,
@@ -99,8 +99,8 @@ TASK = Task(
     ),
     conditions=CONDITIONS,
     phases=(
-        *from_rack("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
-        *into(
+        *rack_pick_phases("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
+        *insertion_phases(
             "peg", "hole", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.008,
             entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP), inside=INSIDE, fails=IN_HAND,
         ),

@@ -13,7 +13,7 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.insertion import from_rack, into
+from dynaforge.tasks.insertion import insertion_phases, rack_pick_phases
 from dynaforge.tasks.predicates import (
     All,
     Around,
@@ -107,8 +107,8 @@ TASK = Task(
     ),
     conditions=CONDITIONS,
     phases=(
-        *from_rack("pen", grip=GRIP, precision=0.006, lift=0.12, clear=0.10),
-        *into(
+        *rack_pick_phases("pen", grip=GRIP, precision=0.006, lift=0.12, clear=0.10),
+        *insertion_phases(
             "pen", "holder", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.012,
             entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP), inside=INSIDE, fails=IN_HAND,
         ),

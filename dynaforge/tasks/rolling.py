@@ -1,4 +1,4 @@
-"""Rolling past: where an object starts that goes straight across the plane ahead of the robot."""
+"""Where an object starts that rolls past the robot in a straight line."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def start_of_roll(values: Mapping[str, float], *, height: float, reach: float) -
     """Return the heading frame at t = 0 of an object that is launched straight past the robot.
 
     Args:
-        values: Of the condition. `speed` (m/s); `side`, whose sign is that of the way along y; `heading`, off the
-            straight line across (rad); `cross_x`, `cross_y`, where its line crosses the plane ahead (m); `lead`,
-            seconds at launch speed until it enters the reach.
-        height: Of its origin above the table, metres.
+        values: The condition's values. `speed` (m/s); `side`: its sign is the direction of motion along y; `heading`:
+            angle between the line and the y axis (rad); `cross_x`, `cross_y`: a point on the line in front of the
+            robot (m); `lead`: seconds, at launch speed, until the object enters the reach.
+        height: Height of the object's origin above the table, metres.
         reach: Radius of the disc around the robot's base in which objects can be handled, metres.
     """
     rotation = rotation_z(math.copysign(math.pi / 2, values["side"]) + values["heading"])

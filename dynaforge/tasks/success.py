@@ -6,15 +6,15 @@ from dynaforge.sim import SceneState
 from dynaforge.tasks.phase import Phase
 from dynaforge.tasks.task import Task
 from dynaforge.tasks.view import PhaseView, heading_frames
-from dynaforge.tasks.words import judge
+from dynaforge.tasks.words import evaluate_predicate
 
 
 class Hold:
-    """Counts the control steps in a row at which a phase's `done` was true.
+    """Counts the consecutive control steps at which a phase's `done` was true.
 
     Args:
         phase: The phase.
-        control_dt: Seconds of a control step.
+        control_dt: Duration of a control step, seconds.
     """
 
     def __init__(self, phase: Phase, *, control_dt: float) -> None:
@@ -23,13 +23,13 @@ class Hold:
         self._steps = 0
 
     def push(self, done: bool) -> bool:
-        """Note whether `done` is true after a control step; return whether it has been for `Phase.hold` seconds."""
+        """Count a control step after which `done` was true or not; return whether it has held for `Phase.hold`."""
         self._steps = self._steps + 1 if done else 0
         return self._phase.is_held(self._steps, self._dt)
 
 
 class SuccessJudge:
-    """Judges a task's success by the states alone, whatever moves the arm.
+    """Judges a task's success from the states alone, independently of what moves the arm.
 
     Args:
         task: The task.
@@ -47,7 +47,7 @@ class SuccessJudge:
         self.view = PhaseView(state=start, entry=start, start=start, frames=frames, entry_frames=frames)
 
     def push(self, state: SceneState) -> bool:
-        """Take in the scene after a control step; return whether success has been true for long enough."""
+        """Take in the scene after a control step; return whether the last phase's `done` has held long enough."""
         frames, start = heading_frames(state, self.view.frames), self.view.start
         self.view = PhaseView(state=state, entry=start, start=start, frames=frames, entry_frames=frames)
-        return self._hold.push(judge(self._place, "done", self._last.done, self.view, state.ee))
+        return self._hold.push(evaluate_predicate(self._place, "done", self._last.done, self.view, state.ee))

@@ -203,11 +203,11 @@ class Over:
     upright: bool = False
 
     def __call__(self, view: PhaseView) -> Pose:
-        T_ee_held = view.T_ee_held(self.held)
+        T_ee_grasped = view.T_ee_grasped(self.held)
         rotation = straight_down(view.entry.ee.rotation)
         if self.upright:
-            rotation = upright_rotation(rotation @ T_ee_held.rotation[:, 2]) @ rotation
-        tool_in_ee = T_ee_held.apply(np.array(self.tool))
+            rotation = upright_rotation(rotation @ T_ee_grasped.rotation[:, 2]) @ rotation
+        tool_in_ee = T_ee_grasped.apply(np.array(self.tool))
         return Pose(rotation, predicted_position(view, self.object) + (0.0, 0.0, self.height) - rotation @ tool_in_ee)
 
 

@@ -21,10 +21,10 @@ from dynaforge.sim.checks import (
 from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.dry_run import dry_run
 from dynaforge.tasks.phase import Ending, Mode, Phase, endings_of
 from dynaforge.tasks.predicates import RobotStopped
-from dynaforge.tasks.probe import probe
-from dynaforge.tasks.words import check_word, unknown
+from dynaforge.tasks.words import check_word, unknown_name_message
 
 __all__ = ["FRAMES", "Frame", "Mode", "Phase", "ResidualSpec", "Task"]
 
@@ -116,7 +116,7 @@ class Task:
         self._check_descriptions(what)
         self._check_program(what)
         self._check_words()
-        probe(self)
+        dry_run(self)
 
     def _check_descriptions(self, what: str) -> None:
         if not isinstance(self.env_name, str) or not _ENV_NAME.fullmatch(self.env_name):
@@ -162,7 +162,7 @@ class Task:
                     f"{place}: target {quoted(phase.target)} has no `object`, the name of what it aims at."
                 )
             if aimed not in names:
-                raise ValueError(unknown(place, f"aims at {quoted(aimed)}", aimed, names))
+                raise ValueError(unknown_name_message(place, f"aims at {quoted(aimed)}", aimed, names))
             words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
             for role, word in words.items():
                 check_word(place, role, word, names)

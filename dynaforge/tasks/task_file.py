@@ -1,4 +1,4 @@
-"""Tasks of one's own: files that define `TASK`, imported only where a user names them."""
+"""User-defined tasks: files that define `TASK`, imported only where a user names them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from dynaforge.tasks.task import Task
 from dynaforge.tasks.user_code import module_of_file
 
 VARIABLE = "DYNAFORGE_TASKS"
-"""Environment variable that lists task files, separated as in PATH: a user may set it, and workers inherit it."""
+"""The environment variable that lists task files, separated as in PATH. Users may set it, and workers inherit it."""
 
 
 def task_of_file(path: Path) -> Task:
     """Import a task file and register its envs.
 
     Raises:
-        ValueError: There is no such file, it cannot be run, defines no task, or takes a name that is taken.
+        ValueError: The file does not exist, cannot be imported, defines no task, or uses a name that is taken.
     """
     if not path.is_file():
         raise ValueError(f"No task file {str(path)!r}.{_hint(path)}")
@@ -31,7 +31,7 @@ def task_of_file(path: Path) -> Task:
         task = _task_in(module, path)
         _register(task, path)
     except ValueError:
-        del sys.modules[module.__name__]  # so that the file is read again once it is mended
+        del sys.modules[module.__name__]  # so that the file is read again once it is corrected
         raise
     return task
 
@@ -40,26 +40,32 @@ def _task_in(module: ModuleType, path: Path) -> Task:
     task = getattr(module, "TASK", None)
     if not isinstance(task, Task):
         others = [name for name, value in vars(module).items() if isinstance(value, Task)]
-        what = f"TASK is {quoted(task)}" if task is not None else f"call {others[0]} so" if others else "it has none"
-        raise ValueError(f"{path} must define TASK, a Task: {what}.")
+        if task is not None:
+            problem = f"TASK is {quoted(task)}"
+        elif others:
+            problem = f"call {others[0]} so"
+        else:
+            problem = "it has none"
+        raise ValueError(f"{path} must define TASK, a Task: {problem}.")
     return task
 
 
 def _hint(path: Path) -> str:
-    """Name a file beside the missing one that may have been meant, or the task of the package."""
-    there = [other.name for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
-    close = difflib.get_close_matches(path.name, there, n=1) or difflib.get_close_matches(path.stem, ENV_NAMES, n=1)
+    """Suggest a file beside the missing one, or a task of the package, that may have been meant."""
+    neighbours = [other.name for other in path.parent.glob("*.py")] if path.parent.is_dir() else []
+    close = difflib.get_close_matches(path.name, neighbours, n=1)
+    close = close or difflib.get_close_matches(path.stem, ENV_NAMES, n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
 def register_listed_files() -> None:
-    """Make the tasks known whose files the environment variable DYNAFORGE_TASKS lists, by name and env ids.
+    """Register the tasks whose files the environment variable DYNAFORGE_TASKS lists, under their names and env ids.
 
-    A file that is missing or wrong is skipped with a warning: importing the package must not fail for it.
+    A file that is missing or wrong is skipped with a warning, because importing the package must not fail for it.
     """
     for path in map(Path, _listed_files()):
-        under_way = sys.modules.get(path.stem)
-        if getattr(under_way, "__file__", None) == str(path) and not hasattr(under_way, "TASK"):
+        module = sys.modules.get(path.stem)
+        if getattr(module, "__file__", None) == str(path) and not hasattr(module, "TASK"):
             continue  # the file itself has just imported this package
         try:
             task_of_file(path)
@@ -68,7 +74,7 @@ def register_listed_files() -> None:
 
 
 def _register(task: Task, path: Path) -> None:
-    """Register the envs of a file's task, here and in processes that will be started."""
+    """Register the envs of a file's task, here and in processes that are started later."""
     if (other := TASK_FILES.get(task.name)) is not None:
         if other != str(path):
             raise ValueError(f"{path}: the name {task.name!r} is that of the task in {other}; choose another.")

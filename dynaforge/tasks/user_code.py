@@ -1,4 +1,4 @@
-"""Files of code that a user names on the command line: imported, and their mistakes told in one line."""
+"""Imports files of code that a user names on the command line, and reports their mistakes in one line."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from types import ModuleType
 
 
 def module_of_file(path: Path) -> ModuleType:
-    """Import a file as a module of its own name, so that workers find it too.
+    """Import a file as a module named after it, so that workers find it too.
 
     Raises:
-        ValueError: Its name is taken or none that can be imported, or its code fails: the file, the line, the reason.
+        ValueError: The name is taken or cannot be imported, or the code fails; names the file, the line and the reason.
     """
     if "." in path.stem:
         raise ValueError(
@@ -37,7 +37,7 @@ def module_of_file(path: Path) -> ModuleType:
 
 
 def in_one_line(error: BaseException) -> str:
-    """Say what somebody's code raised: an error's text where it is written for people, else its kind too."""
+    """Return on one line what user code raised: the error's text, with its type unless the text is meant for users."""
     text = " ".join(str(error).split())
     if isinstance(error, SystemExit):
         return f"it ends the program (SystemExit {text}); code that is imported or called here must not."

@@ -1,4 +1,4 @@
-"""What targets and predicates read: the measured scene, seen from the running phase."""
+"""What targets and predicates read: the measured scene, as the running phase sees it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from dynaforge.geometry import Pose, one_line, rotation_z
 from dynaforge.sim import SceneState
 
-HEADING_SPEED = 0.02  # m/s: below it a heading keeps its last direction
+HEADING_SPEED = 0.02  # m/s: below this speed a heading keeps its last direction
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -20,11 +20,11 @@ class PhaseView:
         state: The latest measured scene.
         entry: The scene at the entry of this phase.
         start: The scene at t = 0.
-        frames: Heading frame `T_world_heading` of every object: at its position, x along its velocity on the plane, z
-            up; below 2 cm/s it keeps the last direction, at first that of its own x axis.
+        frames: Heading frame `T_world_heading` of every object: at its position, x along its horizontal velocity, z
+            up. Below 2 cm/s it keeps its last direction; at the start of an episode that is the object's own x axis.
         entry_frames: The heading frames at the entry of this phase.
-        grasp: The scene when a phase last took hold of an object (`Phase.takes_hold`); None before.
-        lead_time: Seconds of constant-velocity prediction, 0 for the prior as the paper has it.
+        grasp: The scene at the end of the last phase with `Phase.takes_hold`; None before.
+        lead_time: Seconds of constant-velocity prediction; 0 for the prior, as in the paper.
     """
 
     state: SceneState
@@ -37,14 +37,14 @@ class PhaseView:
 
     __repr__ = one_line
 
-    def T_ee_held(self, name: str) -> Pose:  # noqa: N802 - named as poses are
-        """Pose of an object in the hand as measured at the grasp; now, if nothing was grasped."""
+    def T_ee_grasped(self, name: str) -> Pose:  # noqa: N802 - named as poses are
+        """Return the pose of an object in the hand as measured at the grasp, or as it is now if there was none."""
         grasp = self.grasp or self.state
         return grasp.ee.inverse() @ grasp.objects[name].pose
 
 
 def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> dict[str, Pose]:
-    """Attach a heading frame to every object; `previous` holds those of the control step before."""
+    """Return the heading frame of every object; `previous` are those of the last control step, None at the start."""
     frames = {}
     for name, body in state.objects.items():
         vx, vy, _ = body.velocity.tolist()
@@ -59,7 +59,10 @@ def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> di
 
 
 def yaw(pose: Pose) -> float:
-    """Angle of a body's x axis on the plane, radians; of its y axis less a quarter turn where x stands upright."""
+    """Return the angle of a body's x axis in the horizontal plane, radians.
+
+    Where the x axis is nearly vertical, it is the angle of the y axis less a quarter turn.
+    """
     x, y, z = pose.rotation[:, 0].tolist()
     if abs(z) < 0.9:
         return math.atan2(y, x)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from dynaforge.tasks import what_was_meant
+from dynaforge.tasks import suggestion
 from dynaforge.zoo.algorithm import ALGORITHMS
 from dynaforge.zoo.flags import zoo_algorithms
 
@@ -92,4 +92,4 @@ def check_env(env: str) -> None:
     import gymnasium as gym
 
     if env not in gym.registry:
-        raise SystemExit(f"dynaforge: no env {env!r}. {what_was_meant(env, among=gym.registry)}")
+        raise SystemExit(f"dynaforge: no env {env!r}. {suggestion(env, among=gym.registry)}")

@@ -1,4 +1,4 @@
-"""A dry run of a task at its making: what it launches, and what its words say of a scene that nobody simulated."""
+"""A dry run of a task when it is made: its launch, and its targets and predicates on a scene that was not simulated."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynaforge.sim import BodyState, Condition, Launch, Placement, SceneState
 from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.tasks.targets import DOWN_ALONG_Y
 from dynaforge.tasks.view import PhaseView, heading_frames
-from dynaforge.tasks.words import aim, judge
+from dynaforge.tasks.words import evaluate_predicate, evaluate_target
 
 if TYPE_CHECKING:
     from dynaforge.tasks.phase import Phase
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from dynaforge.tasks.task import Task
 
 # What a word may raise only because the scene is made up: a division by no distance, the root of a negative number.
-OF_THE_SCENE = (ArithmeticError, ValueError, RuntimeWarning)
+MADE_UP_SCENE_ERRORS = (ArithmeticError, ValueError, RuntimeWarning)
 HAND = Pose(DOWN_ALONG_Y, np.array((0.45, 0.05, 0.25)))
 
 
-def probe(task: Task) -> None:
-    """Launch the ends and the middle of a task's conditions, and ask all its words about the start of one.
+def dry_run(task: Task) -> None:
+    """Launch both ends and the middle of a task's conditions, and evaluate all its words at the start of the last.
 
-    Every word is asked twice, of an open hand that touches nothing and of a closed one that touches everything, since
-    a predicate asks no further once it knows.
+    Every word is evaluated twice, with an open hand that touches nothing and with a closed hand that touches
+    everything, because a predicate stops at the first part that decides it.
 
     Raises:
-        ValueError: `launch` raises, forgets a body or names another; a word raises or returns something else than it
-            should. Names the phase.
+        ValueError: `launch` raises, omits a body or names one that the scene lacks; or a word raises or returns
+            something of the wrong type. Names the phase.
     """
     for condition in _conditions(task):
         starts = task.scene.starts(condition)
@@ -42,30 +42,30 @@ def probe(task: Task) -> None:
             body.check_launch(start)
     for view in _views(task, starts):
         for phase in task.phases:
-            _ask_phase(phase, view)
+            _check_phase_words(phase, view)
         for reason, predicate in task.impossible:
-            _ask("Task", f"impossible ({reason})", predicate, view, HAND)
+            _check_word("Task", f"impossible ({reason})", predicate, view, HAND)
 
 
-def _ask_phase(phase: Phase, view: PhaseView) -> None:
+def _check_phase_words(phase: Phase, view: PhaseView) -> None:
     place, target = f"Phase {phase.name!r}", HAND
     try:
-        target = aim(place, phase.target, view)
+        target = evaluate_target(place, phase.target, view)
     except ValueError as error:
-        if not isinstance(error.__cause__, OF_THE_SCENE):
+        if not isinstance(error.__cause__, MADE_UP_SCENE_ERRORS):
             raise
-    asked = [("done", phase.done), ("track_until", phase.track_until)]
-    asked += [(f"fails ({reason})", predicate) for reason, predicate in phase.fails]
-    for role, predicate in asked:
+    predicates = [("done", phase.done), ("track_until", phase.track_until)]
+    predicates += [(f"fails ({reason})", predicate) for reason, predicate in phase.fails]
+    for role, predicate in predicates:
         if predicate is not None:
-            _ask(place, role, predicate, view, target)
+            _check_word(place, role, predicate, view, target)
 
 
-def _ask(place: str, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> None:
+def _check_word(place: str, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> None:
     try:
-        judge(place, role, predicate, view, target)
+        evaluate_predicate(place, role, predicate, view, target)
     except ValueError as error:
-        if not isinstance(error.__cause__, OF_THE_SCENE):
+        if not isinstance(error.__cause__, MADE_UP_SCENE_ERRORS):
             raise
 
 
@@ -77,13 +77,7 @@ def _conditions(task: Task) -> Iterator[Condition]:
 
 
 def _views(task: Task, starts: Mapping[str, Launch | Placement]) -> Iterator[PhaseView]:
-    still = np.zeros(3)
-    objects = {
-        name: BodyState(start.pose, start.velocity, start.angular_velocity)
-        if isinstance(start, Launch)
-        else BodyState(start.pose, still, still)
-        for name, start in starts.items()
-    }
+    objects = {name: _body_state(start) for name, start in starts.items()}
     for closed in (False, True):
         state = SceneState(
             time=0.0,
@@ -98,3 +92,9 @@ def _views(task: Task, starts: Mapping[str, Launch | Placement]) -> Iterator[Pha
         )
         frames = heading_frames(state, None)
         yield PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames, grasp=state)
+
+
+def _body_state(start: Launch | Placement) -> BodyState:
+    if isinstance(start, Launch):
+        return BodyState(start.pose, start.velocity, start.angular_velocity)
+    return BodyState(start.pose, np.zeros(3), np.zeros(3))
