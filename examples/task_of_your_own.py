@@ -30,7 +30,8 @@ def launch(condition: df.Condition) -> dict[str, df.Launch]:
     return {"peach": df.Launch(start, speed * np.array((0.0, 1.0, 0.0)), spin, mass=0.1)}
 
 
-AHEAD, ABOVE = Downstream("peach", 0.085, 0.6, 0.08), Above("peach", 0.02)  # where the hand goes in each phase
+AHEAD = Downstream("peach", 0.085, reach=0.6, clearance=0.08)  # where the hand waits
+ABOVE = Above("peach", 0.02)  # where it taps
 PHASES = (
     df.Phase("wait", df.Mode.GLOBAL, AHEAD, width=0.0, done=Near("peach", 0.3), timeout=4.0, failure="not reached"),
     df.Phase("tap", df.Mode.IK, ABOVE, width=0.0, gate=True, done=Touched("peach"), timeout=2.0, failure="missed"),

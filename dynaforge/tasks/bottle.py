@@ -12,7 +12,8 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
-from dynaforge.tasks.targets import Above, DownstreamArc, Raised, along_arc, arc_to_disc
+from dynaforge.tasks.reach import along_arc, arc_to_disc
+from dynaforge.tasks.targets import Above, DownstreamArc, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 # The bottle touches the table with two circles of these radii, this far apart along its axis, its origin midway.

@@ -1,4 +1,4 @@
-"""One phase of a task's program."""
+"""One phase of a task's phase program."""
 
 from __future__ import annotations
 
@@ -27,19 +27,24 @@ class Phase:
     """One phase of the program.
 
     Attributes:
-        name: Its name in records and reports.
+        name: Name in recordings and reports.
         mode: Low-frequency global planning or high-frequency IK.
         target: Object-centric target of Eq. 3.
         width: Commanded opening between the fingers, metres.
-        done: Success predicate; the phase advances once it held for `hold` seconds.
+        done: Success predicate; the phase ends once it has held for `hold` seconds.
         timeout: Seconds after which the episode fails.
-        failure: The reason recorded then.
+        failure: The reason recorded for a timeout.
         gate: The residual gate m of Eq. 5.
-        hold: Seconds from the first to the last of the control steps at which `done` held without a break.
-        track_until: Once this holds, the target freezes: the hand must not chase what it pushes.
-        takes_hold: At its end the object in the hand is measured: the tool frame of targets that come after.
-        residual_share: Share of the task's residual scales that the residual has in this phase.
-        fails: (reason, predicate) pairs that end the episode at once while this phase runs.
+        hold: Seconds from the first to the last of the consecutive control steps at which `done` must hold.
+        track_until: Once this holds, the target freezes, so that the hand does not chase what it pushes.
+        takes_hold: Whether the pose of the grasped object in the hand is measured at the end of the phase, as the tool
+            frame of later targets.
+        residual_share: Factor on the task's residual scales in this phase.
+        fails: (reason, predicate) pairs; while this phase runs, the episode fails as soon as one of them holds.
+
+    Raises:
+        ValueError: A field of the wrong type or out of range, a `hold` that the timeout does not allow, or a field that
+            has no effect in `Mode.GLOBAL`.
     """
 
     name: str
@@ -59,42 +64,47 @@ class Phase:
 
     def __post_init__(self) -> None:
         check_text("Phase: name", self.name)
-        what = f"Phase {self.name!r}"
-        check_choice(f"{what}: mode", self.mode, tuple(Mode))
+        place = f"Phase {self.name!r}"
+        check_choice(f"{place}: mode", self.mode, tuple(Mode))
         object.__setattr__(self, "mode", Mode(self.mode))
-        check_callable(f"{what}: target", self.target, such_as='a target, such as Above("can", 0.1)')
-        check_callable(f"{what}: done", self.done, such_as=PREDICATE_EXAMPLE)
-        check_number(f"{what}: width", self.width, least=0.0, most=HAND_WIDTH)
-        check_number(f"{what}: timeout", self.timeout, above=0.0)
-        check_number(f"{what}: hold", self.hold, least=0.0)
-        check_text(f"{what}: failure", self.failure)
+        check_callable(f"{place}: target", self.target, such_as='a target, such as Above("can", 0.1)')
+        check_callable(f"{place}: done", self.done, such_as=PREDICATE_EXAMPLE)
+        check_number(f"{place}: width", self.width, least=0.0, most=HAND_WIDTH)
+        check_number(f"{place}: timeout", self.timeout, above=0.0)
+        check_number(f"{place}: hold", self.hold, least=0.0)
+        check_text(f"{place}: failure", self.failure)
         for name in ("gate", "takes_hold"):
-            check_flag(f"{what}: {name}", getattr(self, name))
-        check_number(f"{what}: residual_share", self.residual_share, above=0.0, most=1.0)
-        object.__setattr__(self, "fails", endings_of(f"{what}: fails", self.fails))
+            check_flag(f"{place}: {name}", getattr(self, name))
+        check_number(f"{place}: residual_share", self.residual_share, above=0.0, most=1.0)
+        object.__setattr__(self, "fails", check_endings(f"{place}: fails", self.fails))
         if self.hold >= self.timeout:
             raise ValueError(
-                f"{what}: hold {self.hold:g} s is not below its timeout {self.timeout:g} s, so it can never be done."
+                f"{place}: hold {self.hold:g} s is not below its timeout {self.timeout:g} s, so it can never be done."
             )
         if self.track_until is not None:
-            check_callable(f"{what}: track_until", self.track_until, such_as=PREDICATE_EXAMPLE)
-        for name, given in (("gate", self.gate), ("track_until", self.track_until)):
-            if given and self.mode is Mode.GLOBAL:
+            check_callable(f"{place}: track_until", self.track_until, such_as=PREDICATE_EXAMPLE)
+        for name, value in (("gate", self.gate), ("track_until", self.track_until)):
+            if value and self.mode is Mode.GLOBAL:
                 raise ValueError(
-                    f"{what}: {name} has no effect in Mode.GLOBAL, where the hand follows one trajectory planned at "
+                    f"{place}: {name} has no effect in Mode.GLOBAL, where the hand follows one trajectory planned at "
                     f"the phase's entry; leave {name} out, or let the phase track with Mode.IK."
                 )
 
     def is_held(self, samples: int, control_dt: float) -> bool:
-        """Tell whether `done`, true at the last `samples` control steps of `control_dt` seconds, held long enough."""
+        """Return whether `done` has held for long enough.
+
+        Args:
+            samples: Consecutive control steps up to now at which it was true.
+            control_dt: Duration of a control step, seconds.
+        """
         return samples > 0 and (samples - 1) * control_dt >= self.hold - 1e-9
 
 
-def endings_of(what: str, given: Any) -> tuple[Ending, ...]:
-    """Return (reason, predicate) pairs as they are; refuse anything else."""
-    if not isinstance(given, (tuple, list)) or not all(isinstance(e, (tuple, list)) and len(e) == 2 for e in given):
-        raise ValueError(f'{what} is {quoted(given)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
-    for reason, predicate in given:
+def check_endings(what: str, value: Any) -> tuple[Ending, ...]:
+    """Return the value, a tuple or list of (reason, predicate) pairs, as a tuple; raise ValueError otherwise."""
+    if not isinstance(value, (tuple, list)) or not all(isinstance(e, (tuple, list)) and len(e) == 2 for e in value):
+        raise ValueError(f'{what} is {quoted(value)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
+    for reason, predicate in value:
         check_text(f"{what}: a reason", reason)
         check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=PREDICATE_EXAMPLE)
-    return tuple(given)
+    return tuple(value)

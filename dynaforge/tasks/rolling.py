@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynaforge.geometry import Pose, rotation_z
-from dynaforge.tasks.targets import distance_to_disc
+from dynaforge.tasks.reach import distance_to_disc
 
 
 def start_of_roll(values: Mapping[str, float], *, height: float, reach: float) -> Pose:

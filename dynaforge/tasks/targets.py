@@ -1,4 +1,4 @@
-"""Words for where the hand should be: object-centric targets of Eq. 3."""
+"""Targets, the words for where the hand should be: object-centric, as in Eq. 3."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec, rotation_z
+from dynaforge.tasks.reach import along_arc, arc_to_disc, distance_to_disc
 from dynaforge.tasks.view import PhaseView, yaw
 from dynaforge.tasks.words import ObjectName, Size
 
@@ -26,7 +27,7 @@ __all__ = [
 
 
 class Target(Protocol):
-    """Turns a view into the desired end-effector pose `T_world_ee`."""
+    """The desired end-effector pose `T_world_ee` as a function of the view."""
 
     @property
     def object(self) -> str:
@@ -39,10 +40,10 @@ class Target(Protocol):
 
 
 class Grip(StrEnum):
-    """How the fingers of a hand that points down stand to an object.
+    """How the fingers of a hand that points down are turned with respect to an object.
 
-    ALONG, ACROSS: they open along or across its heading. FACES: they close on two faces of an upright box, the
-    nearer pair. KEPT: as they stood at phase entry.
+    ALONG, ACROSS: they open along or across its heading. FACES: they close on that pair of faces of an upright box
+    which needs the smaller turn. KEPT: as at phase entry.
     """
 
     ALONG = "along"
@@ -51,15 +52,21 @@ class Grip(StrEnum):
     KEPT = "kept"
 
 
-# Hand pointing down, fingers opening along x (y) of the object frame: columns are the axes of ee in the object frame.
+# The hand points down and its fingers open along x (or y) of the object frame, in which the columns are the axes of ee.
 DOWN_ALONG_X = np.array(((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
 DOWN_ALONG_Y = np.diag((1.0, -1.0, -1.0))
 
 
 def hand_rotation(view: PhaseView, frame: Pose, name: str, grip: Grip) -> Array:
-    """Return the rotation of a hand that points down and grips an object so; `frame` is its heading frame.
+    """Return the rotation of a hand that points down and grips an object.
 
-    Of grasps that differ by the object's symmetry, the one nearest to the hand at phase entry.
+    Of grasps that differ only by a symmetry of the object, it is the one nearest to the hand at phase entry.
+
+    Args:
+        view: The scene.
+        frame: Heading frame of the object.
+        name: The object.
+        grip: How the fingers are turned.
     """
     current = view.entry.ee.rotation
     if grip is Grip.KEPT:
@@ -67,18 +74,20 @@ def hand_rotation(view: PhaseView, frame: Pose, name: str, grip: Grip) -> Array:
     if grip is Grip.FACES:
         first = rotation_z(yaw(view.state.objects[name].pose)) @ DOWN_ALONG_X
         other = first @ rotation_z(math.pi / 2)
-        return max((nearer_half_turn(r, current) for r in (first, other)), key=lambda r: float(np.vdot(r, current)))
-    return nearer_half_turn(frame.rotation @ (DOWN_ALONG_X if grip is Grip.ALONG else DOWN_ALONG_Y), current)
+        candidates = (nearer_half_turn(first, current), nearer_half_turn(other, current))
+        return max(candidates, key=lambda rotation: float(np.vdot(rotation, current)))
+    down = DOWN_ALONG_X if grip is Grip.ALONG else DOWN_ALONG_Y
+    return nearer_half_turn(frame.rotation @ down, current)
 
 
 @dataclass(frozen=True, slots=True)
 class Above:
-    """Eq. 3: `T_world_ee = T_world_object @ T_object_ee`, the hand straight above.
+    """Eq. 3: `T_world_ee = T_world_object @ T_object_ee`, with the hand straight above the object.
 
     Attributes:
         object: The reference object O.
-        height: Of the end effector above the object's origin, metres.
-        grip: How the fingers stand to it.
+        height: Height of the end effector above the object's origin, metres.
+        grip: How the fingers are turned.
     """
 
     object: ObjectName
@@ -93,26 +102,26 @@ class Above:
 
 @dataclass(frozen=True, slots=True)
 class Downstream:
-    """Meet the object: a pose fixed in its heading frame at phase entry, on its line and ahead of it.
+    """Meet the object: a pose ahead of it on its line, fixed in its heading frame at phase entry.
 
-    The meeting point is where the object's line enters the robot's reach, so that a fast object is met as early as
-    can be and the whole reach is left to run along with it. It is geometry only: speed plays no part.
+    The meeting point is where the line enters the robot's reach. A fast object is thus met as early as possible, and
+    the hand can move along with it through the whole reach. The point follows from geometry alone, not from the speed.
 
     Attributes:
         object: The reference object O.
-        height: Of the end effector above the object's origin, metres.
+        height: Height of the end effector above the object's origin, metres.
         reach: Radius of the disc around the robot's base in which objects can be handled, metres.
-        clearance: The point is at least this far ahead of the object, metres.
-        grip: How the fingers stand to it.
-        live: Read the heading frame anew at every control step, for objects that do not roll straight.
+        clearance: Least distance of the point ahead of the object, metres.
+        grip: How the fingers are turned.
+        live: Whether to use the current heading frame at every control step, for objects that do not roll straight.
     """
 
     object: ObjectName
     height: float
+    _: KW_ONLY
     reach: Size
     clearance: float
     grip: Grip = Grip.ALONG
-    _: KW_ONLY
     live: bool = False
 
     def __call__(self, view: PhaseView) -> Pose:
@@ -124,17 +133,17 @@ class Downstream:
 
 @dataclass(frozen=True, slots=True)
 class DownstreamArc:
-    """Meet a tapered object that rolls in a circle: as `Downstream`, along its arc instead of a line.
+    """Meet a tapered object that rolls in a circle: like `Downstream`, along an arc instead of a line.
 
-    It turns to the side of its thin end, where its z axis points.
+    The object turns toward its thin end, to which its z axis points.
 
     Attributes:
         object: The reference object O.
-        height: Of the end effector above the object's origin, metres.
+        height: Height of the end effector above the object's origin, metres.
         reach: Radius of the disc around the robot's base in which objects can be handled, metres.
-        clearance: The point is at least this far ahead of the object, along its arc, metres.
-        radius: Of the circle in which its origin rolls, metres.
-        grip: How the fingers stand to it.
+        clearance: Least distance of the point ahead of the object along the arc, metres.
+        radius: Radius of the circle on which the object's origin moves, metres.
+        grip: How the fingers are turned.
     """
 
     object: ObjectName
@@ -155,15 +164,15 @@ class DownstreamArc:
 
 @dataclass(frozen=True, slots=True)
 class Catching:
-    """Wait for an object that comes off a fixture: a pose fixed in the fixture's frame, moved sideways with the object.
+    """Wait for an object that leaves a fixture: a pose fixed in the fixture's frame, moved sideways with the object.
 
-    The hand faces against the fixture's x axis, along which the object comes, its fingers open sideways.
+    The object comes along the fixture's x axis. The hand points the opposite way, and its fingers open sideways.
 
     Attributes:
         object: The object that comes.
-        fixture: Whose frame the pose is fixed in.
-        ahead: Of the end effector along the fixture's x axis, metres.
-        height: Along its z axis, metres.
+        fixture: The fixture in whose frame the pose is fixed.
+        ahead: Position of the end effector along the fixture's x axis, metres.
+        height: Position of the end effector along the fixture's z axis, metres.
         pitch: How far the hand is pitched up, radians.
     """
 
@@ -176,7 +185,7 @@ class Catching:
 
     def __call__(self, view: PhaseView) -> Pose:
         base = view.state.objects[self.fixture].pose
-        sideways = float((base.inverse().apply(predicted_position(view, self.object)))[1])
+        sideways = float(base.inverse().apply(predicted_position(view, self.object))[1])
         c, s = math.cos(self.pitch), math.sin(self.pitch)
         z, y = np.array((-c, 0.0, s)), np.array((0.0, -1.0, 0.0))
         local = Pose(np.column_stack((np.cross(y, z), y, z)), np.array((self.ahead, sideways, self.height)))
@@ -185,14 +194,14 @@ class Catching:
 
 @dataclass(frozen=True, slots=True)
 class Over:
-    """Bring the held object over another: Eq. 3 for the tool frame, the object in the hand as measured at the grasp.
+    """Bring the grasped object over another one: Eq. 3 for the tool frame, whose pose in the hand the grasp measured.
 
     Attributes:
-        object: The reference object O, to be brought over.
-        held: The object in the hand.
-        height: Of the tool point above the reference object's origin, metres.
-        tool: The tool point in the held object's frame, metres.
-        upright: Turn the hand so that the held object's z axis is vertical.
+        object: The reference object O, over which the grasped object is brought.
+        held: The grasped object.
+        height: Height of the tool point above the reference object's origin, metres.
+        tool: The tool point in the grasped object's frame, metres.
+        upright: Whether the hand turns so that the grasped object's z axis is vertical.
     """
 
     object: ObjectName
@@ -208,7 +217,8 @@ class Over:
         if self.upright:
             rotation = upright_rotation(rotation @ T_ee_grasped.rotation[:, 2]) @ rotation
         tool_in_ee = T_ee_grasped.apply(np.array(self.tool))
-        return Pose(rotation, predicted_position(view, self.object) + (0.0, 0.0, self.height) - rotation @ tool_in_ee)
+        tool_in_world = predicted_position(view, self.object) + (0.0, 0.0, self.height)
+        return Pose(rotation, tool_in_world - rotation @ tool_in_ee)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +226,8 @@ class Raised:
     """Straight up from where the hand was at phase entry.
 
     Attributes:
-        object: The reference object O: what is carried, or was put down.
-        height: Metres above the hand's pose at phase entry.
+        object: The reference object O: the grasped object, or the one just released.
+        height: Height above the hand's pose at phase entry, metres.
     """
 
     object: ObjectName
@@ -228,19 +238,19 @@ class Raised:
 
 
 def predicted_position(view: PhaseView, name: str) -> Array:
-    """Where an object is, metres, world frame; with a lead time, where constant velocity takes it."""
+    """Return an object's position in the world frame, metres; with a lead time, where constant velocity takes it."""
     body = view.state.objects[name]
     return body.pose.position + view.lead_time * body.velocity if view.lead_time else body.pose.position
 
 
 def straight_down(rotation: Array) -> Array:
-    """Turn a hand by the least so that it points straight down; its fingers keep their direction on the plane."""
+    """Return the nearest rotation of a hand that points straight down; the fingers keep their horizontal direction."""
     x, y, _ = rotation[:, 1].tolist()
     return rotation_z(math.atan2(y, x) - math.pi / 2) @ (DOWN_ALONG_Y * (-1.0, -1.0, 1.0))
 
 
 def upright_rotation(axis: Array) -> Array:
-    """Least rotation, shape (3, 3), that makes a unit axis vertical: upward or downward, whichever is nearer."""
+    """Return the least rotation, shape (3, 3), that makes a unit axis vertical, up or down, whichever is nearer."""
     up = np.array((0.0, 0.0, math.copysign(1.0, axis[2])))
     sine = np.cross(axis, up)
     n = float(np.linalg.norm(sine))
@@ -248,36 +258,6 @@ def upright_rotation(axis: Array) -> Array:
 
 
 def nearer_half_turn(rotation: Array, current: Array) -> Array:
-    """Of a grasp and the same grasp turned by pi about the hand's axis, return the one nearer to `current`."""
+    """Return a grasp's rotation, or that turned by pi about the hand's axis, whichever is nearer to `current`."""
     turned = rotation * (-1.0, -1.0, 1.0)
     return turned if np.vdot(turned, current) > np.vdot(rotation, current) else rotation
-
-
-def distance_to_disc(frame: Pose, radius: float) -> float:
-    """Distance along x of `frame` to the disc of `radius` metres around the world's z axis.
-
-    A line that misses the disc is met at its point nearest to the axis. Zero or less: already inside.
-    """
-    x, y = float(frame.position[0]), float(frame.position[1])
-    ux, uy = float(frame.rotation[0, 0]), float(frame.rotation[1, 0])
-    nearest = -(x * ux + y * uy)
-    missed2 = radius * radius - (x * uy - y * ux) ** 2
-    return nearest - math.sqrt(max(0.0, missed2))
-
-
-def along_arc(frame: Pose, turn: float, distance: float) -> Pose:
-    """Move `frame` by `distance` metres along the circle of radius |turn| that its x axis touches, left if positive."""
-    turned = rotation_z(distance / turn)
-    arm = frame.rotation @ (0.0, -turn, 0.0)
-    return Pose(turned @ frame.rotation, frame.position - arm + turned @ arm)
-
-
-def arc_to_disc(frame: Pose, turn: float, radius: float) -> float:
-    """Distance along that circle to the disc of `radius` metres around the world's z axis, as `distance_to_disc`."""
-    arm = frame.rotation @ (0.0, -turn, 0.0)
-    centre = frame.position - arm
-    away = math.hypot(float(centre[0]), float(centre[1]))
-    ahead = math.atan2(-float(centre[1]), -float(centre[0])) - math.atan2(float(arm[1]), float(arm[0]))
-    nearest = math.remainder(math.copysign(1.0, turn) * ahead, 2 * math.pi)
-    cosine = (turn * turn + away * away - radius * radius) / (2 * abs(turn) * away)
-    return abs(turn) * (nearest - math.acos(min(1.0, max(-1.0, cosine))))

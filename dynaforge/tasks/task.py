@@ -22,7 +22,7 @@ from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.dry_run import dry_run
-from dynaforge.tasks.phase import Ending, Mode, Phase, endings_of
+from dynaforge.tasks.phase import Ending, Mode, Phase, check_endings
 from dynaforge.tasks.predicates import RobotStopped
 from dynaforge.tasks.words import check_word, unknown_name_message
 
@@ -42,7 +42,10 @@ class ResidualSpec:
         rotation: Scale of the rotation vector about x, y, z, radians.
         width: Scale of the gripper width, metres.
         frame: "target": along and about the heading frame of the phase's object; "world": the base frame.
-        decision_steps: Control steps for which one residual is held.
+        decision_steps: Control steps for which one residual is kept.
+
+    Raises:
+        ValueError: A field of the wrong type or out of range, or all seven scales are 0.
     """
 
     translation: tuple[float, float, float] = (0.06, 0.06, 0.06)
@@ -68,25 +71,30 @@ class ResidualSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """A dynamic manipulation task: the whole of what is specific to it.
+    """A dynamic manipulation task: everything that is specific to it.
 
-    The last phase's success is the task's success; with C phases, it is the C-th checkpoint of Eq. 6.
+    The end of the last phase is the task's success; with C phases, it is the C-th checkpoint of Eq. 6.
 
     Attributes:
         name: Lower-case name on the command line, e.g. "can".
         env_name: Name in env ids, e.g. "Can" in "DynaForge/Can-v0".
-        skill: Dominant skill.
+        skill: Main skill, e.g. "grasp + place".
         motion: How the object moves, one sentence.
-        randomisation: What a condition draws and from where, one sentence.
+        randomisation: What conditions vary and in which ranges, one sentence.
         goal: What counts as success, one sentence.
         scene: Bodies and launch.
         conditions: Ranges of the conditions.
         phases: The phase program.
-        impossible: (reason, predicate) pairs: once one holds, success is impossible and the episode fails at once.
+        impossible: (reason, predicate) pairs; the episode fails as soon as one of them holds, because success is then
+            impossible.
         residual: Scales and frame of the residual.
         camera: (eye, look-at) of the default camera, metres.
-        instruction: What to do, as one would tell a language model, e.g. "pick up the rolling can"; by default made of
-            the skill and the object.
+        instruction: What to do, as one would tell a language model, e.g. "pick up the rolling can"; made of the skill
+            and the object by default.
+
+    Raises:
+        ValueError: A field of the wrong type or out of range, fields that contradict each other, or a mistake that the
+            dry run found in `launch`, a target or a predicate.
     """
 
     name: str
@@ -105,45 +113,48 @@ class Task:
 
     def __post_init__(self) -> None:
         check_task_name("Task: name", self.name)
-        what = f"Task {self.name!r}"
+        place = f"Task {self.name!r}"
         for name, kind in (("scene", SceneSpec), ("conditions", ConditionSpace), ("residual", ResidualSpec)):
-            check_kind(f"{what}: {name}", getattr(self, name), kind)
-        object.__setattr__(self, "phases", check_tuple(f"{what}: phases", self.phases, Phase))
-        object.__setattr__(self, "impossible", endings_of(f"{what}: impossible", self.impossible))
+            check_kind(f"{place}: {name}", getattr(self, name), kind)
+        object.__setattr__(self, "phases", check_tuple(f"{place}: phases", self.phases, Phase))
+        object.__setattr__(self, "impossible", check_endings(f"{place}: impossible", self.impossible))
         if isinstance(self.instruction, str) and not self.instruction:
             words = f"{self.skill} the {self.manipulated}".replace(" + ", " and ").replace("_", " ")
             object.__setattr__(self, "instruction", words)
-        self._check_descriptions(what)
-        self._check_program(what)
+        self._check_descriptions(place)
+        self._check_program(place)
         self._check_words()
         dry_run(self)
 
-    def _check_descriptions(self, what: str) -> None:
+    def _check_descriptions(self, place: str) -> None:
         if not isinstance(self.env_name, str) or not _ENV_NAME.fullmatch(self.env_name):
             raise ValueError(
-                f"{what}: env_name is {quoted(self.env_name)}; it becomes part of an env id, as Can does of "
+                f"{place}: env_name is {quoted(self.env_name)}; it becomes part of an env id, as Can does of "
                 "DynaForge/Can-v0, and must consist of letters, digits and '_' and begin with a letter."
             )
         for name in ("skill", "motion", "randomisation", "goal", "instruction"):
-            check_text(f"{what}: {name}", getattr(self, name))
+            check_text(f"{place}: {name}", getattr(self, name))
         if not isinstance(self.camera, tuple) or len(self.camera) != 2:
-            raise ValueError(f"{what}: camera is {quoted(self.camera)}; it must be (eye, look-at), three numbers each.")
+            raise ValueError(
+                f"{place}: camera is {quoted(self.camera)}; it must be (eye, look-at), three numbers each."
+            )
         for name, point in zip(("eye", "look-at"), self.camera, strict=True):
-            check_numbers(f"{what}: camera, {name}", point, 3)
+            check_numbers(f"{place}: camera, {name}", point, 3)
         if tuple(self.camera[0][:2]) == tuple(self.camera[1][:2]):
-            raise ValueError(f"{what}: the camera looks straight up or down, or at itself; move its eye aside.")
+            raise ValueError(f"{place}: the camera looks straight up or down, or at itself; move its eye aside.")
         if self.conditions.task != self.name:
-            raise ValueError(f"{what}: its conditions are those of task {self.conditions.task!r}; give both one name.")
+            raise ValueError(f"{place}: its conditions are those of task {self.conditions.task!r}; give both one name.")
 
-    def _check_program(self, what: str) -> None:
+    def _check_program(self, place: str) -> None:
         if not self.phases:
-            raise ValueError(f"{what} has no phase; it needs at least one.")
+            raise ValueError(f"{place} has no phase; it needs at least one.")
         names = [phase.name for phase in self.phases]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"{what}: two phases are called {twice[0]!r}; every phase has its own name.")
+            raise ValueError(f"{place}: two phases are called {twice[0]!r}; every phase has its own name.")
         if not any(phase.gate for phase in self.phases):
             raise ValueError(
-                f"{what}: no phase has gate=True, so a residual could act nowhere; open the gate where the hand tracks."
+                f"{place}: no phase has gate=True, so a residual could act nowhere; "
+                "open the gate where the hand tracks."
             )
         dt = self.scene.control_dt
         for phase in self.phases:
@@ -156,13 +167,13 @@ class Task:
     def _check_words(self) -> None:
         names = self.scene.names
         for phase in self.phases:
-            place, aimed = f"Phase {phase.name!r}", getattr(phase.target, "object", None)
-            if aimed is None:
+            place, reference = f"Phase {phase.name!r}", getattr(phase.target, "object", None)
+            if reference is None:
                 raise ValueError(
                     f"{place}: target {quoted(phase.target)} has no `object`, the name of what it aims at."
                 )
-            if aimed not in names:
-                raise ValueError(unknown_name_message(place, f"aims at {quoted(aimed)}", aimed, names))
+            if reference not in names:
+                raise ValueError(unknown_name_message(place, f"aims at {quoted(reference)}", reference, names))
             words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
             for role, word in words.items():
                 check_word(place, role, word, names)
@@ -175,12 +186,12 @@ class Task:
 
     @property
     def endings(self) -> tuple[Ending, ...]:
-        """All (reason, predicate) pairs that end an episode at once: `impossible` and what holds for every task."""
+        """All (reason, predicate) pairs that end an episode at once: `impossible`, and those common to all tasks."""
         return (*self.impossible, ("robot stopped", RobotStopped()))
 
     @property
     def contact_phase(self) -> int:
-        """Index of the phase that begins when contact is planned: the first that closes the hand, else the last."""
+        """Index of the phase in which contact is planned to begin: the first that closes the hand, else the last."""
         widths = [phase.width for phase in self.phases]
         closing = (k for k in range(1, len(widths)) if widths[k] < widths[k - 1])
         return next(closing, len(widths) - 1)
@@ -192,5 +203,5 @@ class Task:
 
     @property
     def time_limit(self) -> float:
-        """Seconds after which an episode has surely ended: the sum of the phase timeouts."""
+        """Seconds after which every episode has ended: the sum of the phase timeouts."""
         return sum(phase.timeout for phase in self.phases)

@@ -11,7 +11,7 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim import Condition, SceneState, SimScene
 from dynaforge.tasks.bottle import APART, CONDITIONS, HEIGHT, NARROW, REACH, TASK, TURN, WIDE, launch
-from dynaforge.tasks.targets import along_arc, arc_to_disc
+from dynaforge.tasks.reach import along_arc, arc_to_disc
 from dynaforge.tasks.view import heading_frames
 
 DRAWN = [CONDITIONS.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(200)]

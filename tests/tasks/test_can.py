@@ -10,7 +10,7 @@ from hand_made import scene, view
 from dynaforge.geometry import Pose
 from dynaforge.sim import SceneState, SimScene
 from dynaforge.tasks.can import CONDITIONS, RADIUS, REACH, TASK, launch
-from dynaforge.tasks.targets import distance_to_disc
+from dynaforge.tasks.reach import distance_to_disc
 from dynaforge.tasks.view import heading_frames
 
 DRAWN = [CONDITIONS.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(400)]

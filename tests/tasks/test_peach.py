@@ -11,7 +11,8 @@ from dynaforge.sim import BodyState, SceneState, SimScene
 from dynaforge.sim.spec import Drive
 from dynaforge.tasks.carriers import carried
 from dynaforge.tasks.peach import ARM, BOWL_X, BOWL_Y, CONDITIONS, RADIUS, REACH, SWING, TASK, launch
-from dynaforge.tasks.targets import DOWN_ALONG_X, distance_to_disc
+from dynaforge.tasks.reach import distance_to_disc
+from dynaforge.tasks.targets import DOWN_ALONG_X
 from dynaforge.tasks.view import PhaseView, heading_frames
 
 DRAWN = [CONDITIONS.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(200)]

@@ -47,7 +47,7 @@ def test_lead_time_moves_the_target_by_velocity_times_lead() -> None:
 def test_above_follows_the_object_and_downstream_and_raised_stay_where_entry_put_them() -> None:
     entry = scene((0.5, -0.9, 0.033), (0.0, 0.5, 0.0))
     later = scene((0.5, -0.6, 0.033), (0.0, 0.5, 0.0), hand=(0.4, 0.1, 0.3))
-    for target in (Downstream("can", 0.085, 0.6, 0.08), Raised("can", 0.15)):
+    for target in (Downstream("can", 0.085, reach=0.6, clearance=0.08), Raised("can", 0.15)):
         at_entry, afterwards = target(view(entry)), target(view(later, entry=entry))
         np.testing.assert_array_equal(at_entry.position, afterwards.position)
         np.testing.assert_array_equal(at_entry.rotation, afterwards.rotation)
@@ -56,12 +56,12 @@ def test_above_follows_the_object_and_downstream_and_raised_stay_where_entry_put
 
 def test_downstream_meets_the_object_where_its_line_enters_the_reach() -> None:
     """A line x = 0.36 enters a disc of 0.6 m at y = -0.48: sides 36-48-60."""
-    target = Downstream("can", 0.085, 0.6, 0.08)(view(scene((0.36, -1.5, 0.033), (0.0, 1.2, 0.0))))
+    target = Downstream("can", 0.085, reach=0.6, clearance=0.08)(view(scene((0.36, -1.5, 0.033), (0.0, 1.2, 0.0))))
     np.testing.assert_allclose(target.position, (0.36, -0.48, 0.118), atol=1e-12)
 
 
 def test_downstream_is_ahead_of_an_object_already_inside() -> None:
-    target = Downstream("can", 0.085, 0.6, 0.08)(view(scene((0.36, -0.2, 0.033), (0.0, 0.05, 0.0))))
+    target = Downstream("can", 0.085, reach=0.6, clearance=0.08)(view(scene((0.36, -0.2, 0.033), (0.0, 0.05, 0.0))))
     np.testing.assert_allclose(target.position, (0.36, -0.12, 0.118), atol=1e-12)
 
 
@@ -148,7 +148,9 @@ def test_of_the_faces_of_a_box_the_nearer_pair_is_gripped(turn: float) -> None:
 def test_downstream_live_follows_the_heading_of_now() -> None:
     entry = scene((0.45, -1.0, 0.033), (0.0, 0.5, 0.0))
     now = scene((0.45, -1.0, 0.033), (0.3, 0.4, 0.0))
-    kept, live = (Downstream("can", 0.1, 0.6, 0.08, live=live)(view(now, entry=entry)) for live in (False, True))
+    kept, live = (
+        Downstream("can", 0.1, reach=0.6, clearance=0.08, live=live)(view(now, entry=entry)) for live in (False, True)
+    )
     np.testing.assert_allclose(kept.position[0], 0.45)
     np.testing.assert_allclose(
         live.position[:2] - (0.45, -1.0), np.linalg.norm(live.position[:2] - (0.45, -1.0)) * np.array((0.6, 0.8))
