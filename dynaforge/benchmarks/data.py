@@ -21,37 +21,40 @@ from dynaforge.sampling.processes import usable_cores
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_source
 
-MOST_WRITING = 0.02  # of the time of collecting
-MOST_WINDOW = 5e-5  # seconds
-ATTEMPTS = 150  # a round of writing
-PACKED, LENGTH, POINTS = 200, 60, 1024  # episodes, frames each, points each
-WINDOWS = 2000
-REPLAYED = 100
-DEMONSTRATIONS, MOST_COLLECTING, MOST_RENDERING = 800, 4.0, 15.0  # minutes, the second with the first
+MAX_WRITING_SHARE = 0.02  # of the CPU time of collecting
+MAX_WINDOW_SECONDS = 5e-5
+ATTEMPTS = 150  # in each round of writing
+PACK_EPISODES, EPISODE_FRAMES, POINTS = 200, 60, 1024
+WINDOWS = 2000  # in each round of reading
+REPLAYED = 100  # episodes
+DEMONSTRATIONS = 800
+MAX_COLLECTING_MINUTES, MAX_RENDERING_MINUTES = 4.0, 15.0  # the second includes the first
 
 
 class TimedDataset(DemonstrationDataset):
-    """Counts the seconds that pass inside `record`.
+    """A dataset that counts the seconds that pass inside `record`.
 
     Attributes:
-        began: When the first attempt arrived; NaN before.
-        cpu, wall: Seconds of CPU, and of waiting for the disk too.
+        began: When the first attempt arrived, by `time.perf_counter`; NaN before.
+        cpu: CPU seconds.
+        wall: Seconds by the clock, waiting for the disk included.
     """
 
     began, cpu, wall = float("nan"), 0.0, 0.0
 
     def record(self, attempt: Attempt, episode: Episode | None = None) -> Attempt:
-        """Record it and note the time."""
-        start, cpu = time.perf_counter(), time.thread_time()
-        noted = super().record(attempt, episode)
-        self.cpu, self.wall = self.cpu + time.thread_time() - cpu, self.wall + time.perf_counter() - start
+        """Record an attempt and add the time that it took."""
+        wall, cpu = time.perf_counter(), time.thread_time()
         if math.isnan(self.began):
-            self.began = start
-        return noted
+            self.began = wall
+        recorded = super().record(attempt, episode)
+        self.cpu += time.thread_time() - cpu
+        self.wall += time.perf_counter() - wall
+        return recorded
 
 
 def writing(task: Task, *, rounds: int) -> list[Figure]:
-    """Collect as `dynaforge collect` does: the share of all cores that writing takes."""
+    """Measure the share of all cores that writing takes while collecting as `dynaforge collect` does."""
     generator = make_generator(_generator_of(task), task)
     shares, busy, cores = [], [], usable_cores()
     for number in tracked(range(rounds), "writing"):
@@ -63,24 +66,27 @@ def writing(task: Task, *, rounds: int) -> list[Figure]:
         busy.append(dataset.wall / wall)
     return [
         Figure(
-            f"writing while collecting, CPU share of {cores} cores", f"<= {MOST_WRITING:g}",
-            f"{spread(shares, digits=4)}; the writer, waits for the disk included, is busy {spread(busy, digits=3)}",
-            float(np.median(shares)) <= MOST_WRITING, {"shares": shares, "busy": busy},
+            title=f"writing while collecting, CPU share of {cores} cores",
+            target=f"<= {MAX_WRITING_SHARE:g}",
+            measured=f"{spread(shares, digits=4)}; "
+            f"the writer, waits for the disk included, is busy {spread(busy, digits=3)}",
+            ok=float(np.median(shares)) <= MAX_WRITING_SHARE,
+            raw={"shares": shares, "busy": busy},
         )
-    ]  # fmt: skip
+    ]
 
 
 def window(*, rounds: int) -> list[Figure]:
-    """Read two frames of points, two of state and sixteen actions, as DP3 does, at random places of a pack."""
+    """Time reading two frames of points, two of state and sixteen actions, as DP3 does, at random places of a pack."""
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as parent:
         folder = Path(parent) / "pack"
         folder.mkdir()
-        n = PACKED * LENGTH
+        n = PACK_EPISODES * EPISODE_FRAMES
         np.save(folder / "points.npy", rng.normal(size=(n, POINTS, 3)).astype(np.float16))
         np.save(folder / "state.npy", np.zeros((n, 15), np.float32))
         np.save(folder / "action.npy", np.zeros((n, 8), np.float32))
-        np.save(folder / "episode_ends.npy", np.arange(1, PACKED + 1) * LENGTH)
+        np.save(folder / "episode_ends.npy", np.arange(1, PACK_EPISODES + 1) * EPISODE_FRAMES)
         (folder / "pack.json").write_text('{"arrays": ["points", "state", "action"], "action_names": []}')
         pack, times = Pack(folder), []
         for _ in tracked(range(rounds), "window"):
@@ -93,15 +99,17 @@ def window(*, rounds: int) -> list[Figure]:
             times.append((time.perf_counter() - start) / WINDOWS)
     return [
         Figure(
-            f"random window of a pack ({POINTS} points)", f"<= {1e3 * MOST_WINDOW:g} ms",
-            f"{spread([1e3 * t for t in times], digits=4)} ms", float(np.median(times)) <= MOST_WINDOW,
-            {"times": times},
+            title=f"random window of a pack ({POINTS} points)",
+            target=f"<= {1e3 * MAX_WINDOW_SECONDS:g} ms",
+            measured=f"{spread([1e3 * t for t in times], digits=4)} ms",
+            ok=float(np.median(times)) <= MAX_WINDOW_SECONDS,
+            raw={"times": times},
         )
-    ]  # fmt: skip
+    ]
 
 
 def replay(task: Task) -> list[Figure]:
-    """Record episodes by planner and noise, simulate them again in a fresh process: every bit must agree."""
+    """Record episodes of the planner and of noise, and simulate them again in a fresh process: every bit must agree."""
     with tempfile.TemporaryDirectory() as folder:
         dataset = DemonstrationDataset(folder, task=task.name, keep_failures=True)
         action = np.zeros(np.count_nonzero(task.residual.scales), np.float32)
@@ -116,18 +124,26 @@ def replay(task: Task) -> list[Figure]:
             text=True,
             check=False,
         )
-    exact = done.returncode == 0
-    said = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else done.stderr.strip()[-200:]
-    return [Figure(f"replay of {n} episodes in a fresh process", "all bits agree", said, exact, {"said": said})]
+    printed = done.stdout.strip()
+    message = printed.splitlines()[-1] if printed else done.stderr.strip()[-200:]
+    return [
+        Figure(
+            title=f"replay of {n} episodes in a fresh process",
+            target="all bits agree",
+            measured=message,
+            ok=done.returncode == 0,
+            raw={"said": message},
+        )
+    ]
 
 
 def demonstrations(task: Task) -> list[Figure]:
-    """Collect successes on all cores, then render point clouds: minutes of each command."""
+    """Time collecting demonstrations on all cores, and then rendering their point clouds."""
     with tempfile.TemporaryDirectory() as parent:
         folder = f"{parent}/data"
         start = time.perf_counter()
-        what = ("--task", task_source(task), "--generator", _generator_of(task))
-        collected = _dynaforge("collect", *what, "--demos", str(DEMONSTRATIONS), "--out", folder)
+        chosen = ("--task", task_source(task), "--generator", _generator_of(task))
+        collected = _dynaforge("collect", *chosen, "--demos", str(DEMONSTRATIONS), "--out", folder)
         collecting = (time.perf_counter() - start) / 60
         rendered = _dynaforge("render", folder, "--cameras", "front", "--points", str(POINTS), "--no-images")
         both = (time.perf_counter() - start) / 60
@@ -136,19 +152,24 @@ def demonstrations(task: Task) -> list[Figure]:
     data = {"successes": n, "attempts": len(attempts), "collecting": collecting, "both": both}
     return [
         Figure(
-            f"{DEMONSTRATIONS} demonstrations, all cores", f"<= {MOST_COLLECTING:g} minutes",
-            f"{collecting:.1f} minutes, {n} successes in {len(attempts)} attempts",
-            collected and collecting <= MOST_COLLECTING and n >= DEMONSTRATIONS, data,
+            title=f"{DEMONSTRATIONS} demonstrations, all cores",
+            target=f"<= {MAX_COLLECTING_MINUTES:g} minutes",
+            measured=f"{collecting:.1f} minutes, {n} successes in {len(attempts)} attempts",
+            ok=collected and collecting <= MAX_COLLECTING_MINUTES and n >= DEMONSTRATIONS,
+            raw=data,
         ),
         Figure(
-            f"with {POINTS}-point clouds of one camera", f"<= {MOST_RENDERING:g} minutes", f"{both:.1f} minutes",
-            rendered and both <= MOST_RENDERING, data,
+            title=f"with {POINTS}-point clouds of one camera",
+            target=f"<= {MAX_RENDERING_MINUTES:g} minutes",
+            measured=f"{both:.1f} minutes",
+            ok=rendered and both <= MAX_RENDERING_MINUTES,
+            raw=data,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _generator_of(task: Task) -> str:
-    """Name what collects: the planner with the shipped policy, or alone where none is shipped."""
+    """Return the generator to collect with: the shipped policy, or planner only where none is shipped."""
     try:
         asset_path(f"{task.name}/policy.safetensors")
     except FileNotFoundError:
@@ -157,5 +178,5 @@ def _generator_of(task: Task) -> str:
 
 
 def _dynaforge(*arguments: str) -> bool:
-    """Run a command with its progress shown; tell whether it ended well."""
+    """Run a command with its progress shown; return whether it exited with status 0."""
     return subprocess.run([sys.executable, "-m", "dynaforge", *arguments], check=False).returncode == 0

@@ -30,7 +30,7 @@ N_DECISIONS_BEFORE = 12  # of other episodes in every env of a vectorised one
 
 
 def zero_residual(task: Task, *, n: int = 20) -> list[Figure]:
-    """Compare whole planner-only episodes with the same episodes through the env at residual 0, in both gate modes.
+    """Compare whole planner-only episodes with the same episodes through the env at residual 0, in all gate modes.
 
     Args:
         task: The task.
@@ -47,18 +47,24 @@ def zero_residual(task: Task, *, n: int = 20) -> list[Figure]:
         raw.append({"condition": condition.id, **hashes})
     for env in envs.values():
         env.close()
-    measured = f"{n - different} of {n} episodes equal in {' and '.join(GATE_MODES)} mode"
-    target = "bit for bit, whole episodes"
-    return [Figure("zero residual is planner only", target, measured, not different, {"episodes": raw})]
+    return [
+        Figure(
+            title="zero residual is planner only",
+            target="bit for bit, whole episodes",
+            measured=f"{n - different} of {n} episodes equal in {' and '.join(GATE_MODES)} mode",
+            ok=not different,
+            raw={"episodes": raw},
+        )
+    ]
 
 
 def one_trajectory(task: Task, *, n: int = 3, sizes: tuple[int, ...] = (1, 4, 16)) -> list[Figure]:
-    """Run conditions over histories, in a second process and in vectorised envs, and count distinct trajectories.
+    """Run conditions after several histories, in a second process and in vectorised envs; count distinct trajectories.
 
     Args:
         task: The task.
         n: Conditions, spread over the difficulty range.
-        sizes: Numbers of envs.
+        sizes: Numbers of envs in the vectorised envs.
     """
     conditions = [task.conditions.draw(np.random.default_rng(i), i, n) for i in range(n)]
     spawn = multiprocessing.get_context("spawn")  # a fork server has imported the envs already
@@ -77,16 +83,28 @@ def one_trajectory(task: Task, *, n: int = 3, sizes: tuple[int, ...] = (1, 4, 16
         runs += len(hashes)
         raw.append({"condition": condition.id, "difficulty": condition.difficulty, "hashes": hashes})
     counts = ", ".join(map(str, distinct))
-    title = f"one condition: {len(here[0])} histories, 2 processes, {'/'.join(map(str, sizes))} envs"
-    measured = f"{counts} hash(es) for {n} conditions, {runs} episodes"
-    return [Figure(title, "one trajectory hash each", measured, set(distinct) == {1}, {"conditions": raw})]
+    return [
+        Figure(
+            title=f"one condition: {len(here[0])} histories, 2 processes, {'/'.join(map(str, sizes))} envs",
+            target="one trajectory hash each",
+            measured=f"{counts} hash(es) for {n} conditions, {runs} episodes",
+            ok=set(distinct) == {1},
+            raw={"conditions": raw},
+        )
+    ]
 
 
 def hashes_in_vector(task: str, conditions: list[Condition], *, n_envs: int, n_workers: int = 2) -> list[list[str]]:
-    """Run every condition in all envs of a vectorised env, each with a history of its own, with the seeded actions.
+    """Run every condition with the seeded actions in all envs of a vectorised env, after a history of its own in each.
+
+    Args:
+        task: Task name.
+        conditions: The conditions.
+        n_envs: Number of envs.
+        n_workers: Number of worker processes.
 
     Returns:
-        For each condition the hashes of all envs.
+        For each condition the trajectory hashes of all envs.
     """
     space = get_task(task).conditions
     env = SharedMemoryVecEnv([partial(HashingEnv, task)] * n_envs, n_workers=n_workers)

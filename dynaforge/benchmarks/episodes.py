@@ -1,6 +1,6 @@
 """Episodes as `dynaforge bench` runs them, with a hash over every bit of their trajectories.
 
-Worker processes import this module: nothing here may bring in torch.
+Worker processes import this module, so that nothing here may import torch.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from dynaforge.sim import Condition, SceneState
 from dynaforge.tasks import Outcome, Task
 
 N_STRATA = 10
-MOST_DECISIONS = 1000  # more than any episode has
+MAX_DECISIONS = 1000  # more than any episode has
 HISTORIES = ("nothing", "the same", "a slow one", "a fast one", "one cut short at touch", "random residuals")
 
 
@@ -33,7 +33,13 @@ def bench_conditions(task: Task, n: int) -> list[Condition]:
 
 
 def run_planner_only(world: World, executor: PhaseExecutor, condition: Condition) -> Outcome:
-    """Run the planning prior without any residual machinery: plan, execute, judge."""
+    """Run an episode of the planner without anything that belongs to a residual: plan, execute, judge.
+
+    Args:
+        world: Where it is simulated.
+        executor: What plans and judges.
+        condition: The condition.
+    """
     state = world.reset(condition)
     executor.reset(state, condition, world.reference)
     while executor.outcome is None:
@@ -54,8 +60,8 @@ def run_zero_residual(env: ResidualEnv, condition: Condition) -> Outcome:
 
 
 def seeded_actions(space: gym.Space[Any], condition: Condition) -> NDArray[np.float32]:
-    """Return residual actions for every decision of an episode, the same wherever they are drawn, shape (T, d)."""
-    shape = (MOST_DECISIONS, *(space.shape or ()))
+    """Return a residual action for every decision of an episode, always the same for a condition, shape (T, d)."""
+    shape = (MAX_DECISIONS, *(space.shape or ()))
     return np.random.default_rng(condition.seed).uniform(-1, 1, shape).astype(np.float32)
 
 
@@ -66,7 +72,7 @@ class TrajectoryHash:
         self.restart()
 
     def restart(self) -> None:
-        """Begin another trajectory."""
+        """Begin a new trajectory."""
         self._digest = hashlib.sha256()
 
     def __call__(self, step: ControlStep) -> None:
@@ -82,21 +88,21 @@ class TrajectoryHash:
 
 
 def state_arrays(state: SceneState) -> list[Array]:
-    """List all that is measured of a scene as arrays."""
+    """Return everything that is measured of a scene, as arrays."""
     arrays = [state.q, state.dq, state.ee.rotation, state.ee.position, np.array((state.time, state.width))]
     for name, body in state.objects.items():
         arrays += [body.pose.rotation, body.pose.position, body.velocity, body.angular_velocity]
-        # On the table: measured of free bodies only.
+        # Only free bodies have an entry in `on_table`.
         arrays.append(np.array((*state.touching[name], state.on_table.get(name, False)), dtype=np.float64))
     return arrays
 
 
 class HashingEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """A residual env that reports the hash of its running episode, and its process.
+    """A residual env that reports the trajectory hash of its current episode, and its process.
 
     Args:
         task: Task name.
-        gate_mode: Of the env.
+        gate_mode: Gate mode of the env.
     """
 
     def __init__(self, task: str, gate_mode: GateMode = "skip") -> None:
@@ -115,7 +121,7 @@ class HashingEnv(gym.Wrapper[Any, Any, Any, Any]):
         return self._hash.value(self.residual_env.executor.outcome)
 
     def pid(self) -> int:
-        """Return the process that this env lives in."""
+        """Return the id of the process that this env runs in."""
         return os.getpid()
 
 
@@ -167,10 +173,10 @@ def _run_seeded(env: HashingEnv, condition: Condition) -> str:
 
 
 class BusyLoopEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Burns a known processor time per step and does nothing else: what remains is the cost of vectorising.
+    """An env whose step only burns a known CPU time: whatever else a vectorised one costs is overhead.
 
     Args:
-        step_seconds: Processor seconds of a step.
+        step_seconds: CPU seconds of a step.
     """
 
     observation_space = gym.spaces.Box(-1, 1, (64,), np.float32)
@@ -186,12 +192,12 @@ class BusyLoopEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return np.zeros(64, np.float32), {}
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Spin; the info is as large as that of a real env."""
+        """Burn the time; the info is as large as that of a real env."""
         end = time.thread_time() + self._step_seconds
         while time.thread_time() < end:
             pass
         return np.zeros(64, np.float32), 0.0, False, False, {"residual_mask": 1.0, "phase": "close"}
 
     def processor_time(self) -> tuple[int, float]:
-        """Return this env's process and the processor seconds it has used."""
+        """Return the id of this env's process, and the CPU seconds that the process has used."""
         return os.getpid(), time.process_time()

@@ -1,4 +1,4 @@
-"""What `dynaforge bench` measures is reported as figures: a target, what was measured, and whether it holds."""
+"""A figure of `dynaforge bench`: a target, what was measured, and whether the target is met."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tqdm import tqdm
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
     """One line of the table.
 
@@ -32,11 +32,17 @@ class Figure:
 
 
 def spread(values: Sequence[float], *, digits: int = 2) -> str:
-    """Say median and range of the rounds: "0.72 (0.70 to 0.75)"."""
+    """Return median and range as text, such as "0.72 (0.70 to 0.75)"."""
     return f"{median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
 def tracked(items: Iterable[Item], title: str, *, total: int | None = None) -> Iterable[Item]:
-    """Show a bar on a terminal while going through the items."""
+    """Iterate over items with a progress bar on a terminal.
+
+    Args:
+        items: The items.
+        title: Text in front of the bar.
+        total: Number of items, if they do not know it.
+    """
     bar: Iterable[Item] = tqdm(items, desc=title, total=total, leave=False, disable=None)
     return bar

@@ -21,22 +21,25 @@ from dynaforge.sim.robot import RobotDescription
 from dynaforge.tasks import Task
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
-CHECK_SPACING = 0.004  # radians of the fastest joint between collision checks; the planner's own are 0.015 apart
+COLLISION_CHECK_SPACING = 0.004  # radians of the fastest joint; the planner itself checks every 0.015
 ROUNDING = 1e-9
-STROKE_SECONDS = 1.2  # for a full stroke of 40 mm a finger at 50 mm/s, which takes 0.8 s
-FURNISHED = (
+STROKE_SECONDS = 1.2  # a full stroke, 40 mm per finger at 50 mm/s, takes 0.8 s
+OBSTACLES = (
     Obstacle("post", "cylinder", (0.04, 0.5), Pose(np.eye(3), np.array((0.45, 0.22, 0.25)))),
     Obstacle("shelf", "box", (0.3, 0.3, 0.03), Pose(np.eye(3), np.array((0.5, -0.3, 0.4)))),
 )
 
 
 def finger_speed(task: Task) -> list[Figure]:
-    """Measure each finger at every physics substep of full strokes, commanded at once and as the local planner ramps.
+    """Measure the speed of each finger at every substep of full strokes.
 
-    Speed is the larger of the joint velocity and the change of joint position in a substep.
+    The opening is commanded at once, and ramped as the local planner does. Speed is the larger of the joint velocity
+    and the change of joint position per substep.
     """
     spec = task.scene
-    scene = SimScene(replace(spec, control_dt=spec.physics_dt))  # one step is one substep, so all of them are seen
+    scene = SimScene(
+        replace(spec, control_dt=spec.physics_dt)
+    )  # one control step is one substep, so that every substep is observed
     condition = bench_conditions(task, 1)[0]
     speeds: dict[str, float] = {}
     widths: dict[str, list[float]] = {}
@@ -51,11 +54,15 @@ def finger_speed(task: Task) -> list[Figure]:
     limit, full = scene.robot.finger_speed_max, scene.robot.width_max
     travelled = all(closed < 0.05 * full and opened > 0.95 * full for closed, opened in widths.values())
     measured = ", ".join(f"{1e3 * speed:.2f} mm/s {name}" for name, speed in speeds.items())
-    if not travelled:
-        measured += "; the stroke was not full"
-    raw = {"metres_per_second": speeds, "width_after_close_and_open": widths}
-    ok = travelled and max(speeds.values()) <= limit
-    return [Figure("finger speed, every substep of close and open", f"<= {1e3 * limit:.0f} mm/s", measured, ok, raw)]
+    return [
+        Figure(
+            title="finger speed, every substep of close and open",
+            target=f"<= {1e3 * limit:.0f} mm/s",
+            measured=measured if travelled else f"{measured}; the stroke was not full",
+            ok=travelled and max(speeds.values()) <= limit,
+            raw={"metres_per_second": speeds, "width_after_close_and_open": widths},
+        )
+    ]
 
 
 def _openings(scene: SimScene, task: Task, wanted: float, *, ramped: bool) -> Iterator[float]:
@@ -70,7 +77,7 @@ def _openings(scene: SimScene, task: Task, wanted: float, *, ramped: bool) -> It
 
 
 def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
-    """Command the openings; return the largest speed of a finger (m/s) and the opening at the end (m)."""
+    """Command the openings; return the highest speed of a finger (m/s) and the opening at the end (m)."""
     before, _ = scene.fingers()
     fastest, width = 0.0, 0.0
     for opening in openings:
@@ -82,7 +89,7 @@ def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
     return fastest, width
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LimitUse:
     """How close a trajectory comes to the limits; 1 is the limit.
 
@@ -90,8 +97,8 @@ class LimitUse:
         position: Radians beyond a joint position limit; negative inside.
         velocity: Largest share of a velocity limit, over samples and over differences of positions.
         acceleration: Largest share of an acceleration limit, over samples and over differences of velocities.
-        collisions: Configurations in collision on the dense check.
-        started_in_collision: Whether it began in one: these checks then count from the first free configuration.
+        collisions: Configurations in collision in the dense check.
+        started_in_collision: Whether it began in collision; `collisions` then counts from the first free configuration.
     """
 
     position: float
@@ -102,16 +109,22 @@ class LimitUse:
 
     @property
     def inside(self) -> bool:
-        """Whether every limit is kept and nothing touched."""
+        """Whether every limit is kept and nothing collides."""
         kept = self.position <= ROUNDING and max(self.velocity, self.acceleration) <= 1.0 + ROUNDING
         return kept and self.collisions == 0
 
 
-def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: CollisionModel) -> LimitUse:
-    """Check a trajectory as the arm is commanded along it: straight lines between its samples."""
+def limit_use(trajectory: JointTrajectory, robot: RobotDescription, collision: CollisionModel) -> LimitUse:
+    """Check a trajectory as the arm is commanded along it: on straight lines between its samples.
+
+    Args:
+        trajectory: The trajectory.
+        robot: The limits.
+        collision: What it may collide with.
+    """
     q, dq, ddq, dt = trajectory.q, trajectory.dq, trajectory.ddq, trajectory.dt
     slopes, changes = np.diff(q, axis=0) / dt, np.diff(dq, axis=0) / dt
-    hits = [collision.in_collision(point) for point in _dense(q)]
+    hits = [collision.in_collision(point) for point in _densely_sampled(q)]
     first_free = hits.index(False) if hits[0] and False in hits else 0
     return LimitUse(
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
@@ -122,10 +135,11 @@ def examine(trajectory: JointTrajectory, robot: RobotDescription, collision: Col
     )
 
 
-def _dense(q: Array) -> Iterator[Array]:
+def _densely_sampled(q: Array) -> Iterator[Array]:
+    """Yield configurations on the straight lines between samples, `COLLISION_CHECK_SPACING` apart at most."""
     yield q[0]
     for start, end in pairwise(q):
-        n = max(1, math.ceil(float(np.abs(end - start).max()) / CHECK_SPACING))
+        n = max(1, math.ceil(float(np.abs(end - start).max()) / COLLISION_CHECK_SPACING))
         yield from start + np.arange(1, n + 1)[:, None] / n * (end - start)
 
 
@@ -137,19 +151,19 @@ class RecordingPlanner(GlobalPlanner):
         self.kept: list[JointTrajectory] = []
 
     def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
-        """Plan and keep."""
+        """Plan as a global planner does, and keep the trajectory."""
         self.kept.append(super().plan(start, target, rng=rng))
         return self.kept[-1]
 
 
 def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
-    """Check the global planner's trajectories in episodes, and to random goals over a bare and a furnished table.
+    """Check the global planner's trajectories in episodes, and to random goals with and without obstacles.
 
-    Every other random goal is planned from the middle of the motion before, so from a moving arm.
+    Every other random goal is planned from the middle of the previous motion, that is, from a moving arm.
 
     Args:
         task: The task.
-        n: Planner-only episodes, and random goals over each table.
+        n: Number of planner-only episodes, and of random goals in each surrounding.
     """
     world = World(task)
     robot, dt = world.scene.robot, task.scene.control_dt
@@ -159,7 +173,7 @@ def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
         run_planner_only(world, executor, condition)
     world.close()
     found = {"episodes": (planner.kept, 0, planner.collision)}
-    for name, fixtures in (("bare table", ()), ("furnished table", FURNISHED)):
+    for name, fixtures in (("bare table", ()), ("furnished table", OBSTACLES)):
         planner = RecordingPlanner(robot, CollisionModel(robot, fixtures=fixtures), dt=dt)
         failures = _random_goals(planner, n, np.random.default_rng(len(fixtures)))
         found[name] = (planner.kept, failures, planner.collision)
@@ -167,7 +181,7 @@ def global_planner(task: Task, *, n: int = 30) -> list[Figure]:
 
 
 def _random_goals(planner: RecordingPlanner, n: int, rng: np.random.Generator) -> int:
-    """Plan to n random goals in a chain; return how many have no plan."""
+    """Plan to n random goals, one from another; return for how many there is no plan."""
     start, failures = JointState.at_rest(planner.robot.q_ready), 0
     for k in tracked(range(n), "planner to random goals", total=n):
         position = rng.uniform((0.3, -0.4, 0.05), (0.65, 0.4, 0.5))
@@ -187,7 +201,9 @@ def _planner_figure(
     raw: dict[str, Any] = {}
     every: list[LimitUse] = []
     for name, (trajectories, failures, collision) in found.items():
-        results = [examine(t, robot, collision) for t in tracked(trajectories, "dense check", total=len(trajectories))]
+        results = [
+            limit_use(t, robot, collision) for t in tracked(trajectories, "dense check", total=len(trajectories))
+        ]
         every += results
         raw[name] = {
             "trajectories": len(results),
@@ -199,12 +215,13 @@ def _planner_figure(
             "colliding": sum(r.collisions > 0 for r in results),
             "started_in_collision": sum(r.started_in_collision for r in results),
         }
+    title = "global planner's trajectories"
     if not every:
-        return Figure("global planner's trajectories", "some", "no plan at all", False, raw)
+        return Figure(title=title, target="some", measured="no plan at all", ok=False, raw=raw)
     measured = (
         f"{len(every)} trajectories: nearest position limit {-max(r.position for r in every):.3f} rad away, "
         f"velocity {max(r.velocity for r in every):.3f}, acceleration {max(r.acceleration for r in every):.3f} "
         f"of the limit, {sum(r.collisions > 0 for r in every)} collide"
     )
     ok = all(result.inside for result in every)
-    return Figure("global planner's trajectories", "inside limits, none collides", measured, ok, raw)
+    return Figure(title=title, target="inside limits, none collides", measured=measured, ok=ok, raw=raw)

@@ -17,9 +17,9 @@ from dynaforge.sim import Condition, SceneState, SimScene
 from dynaforge.sim.bare import MotorCommands, motor_commands, replay_bare
 from dynaforge.tasks import Task
 
-RESET_LIMIT = 2e-3  # seconds
+MAX_RESET_SECONDS = 2e-3
 STEPS_BEFORE_RESET = 6
-LEAST_RATIO = 0.65  # control steps per CPU-second, whole stack over bare simulator
+MIN_RATIO = 0.65  # control steps per CPU-second, whole stack over bare simulator
 
 
 def scene_reset(task: Task, *, rounds: int = 5, n: int = 40) -> list[Figure]:
@@ -27,8 +27,8 @@ def scene_reset(task: Task, *, rounds: int = 5, n: int = 40) -> list[Figure]:
 
     Args:
         task: The task.
-        rounds: Rounds.
-        n: Resets a round; one in eight follows a whole episode.
+        rounds: Number of rounds.
+        n: Resets per round; one in eight follows a whole episode.
     """
     env = ResidualEnv(task)
     scene, robot, conditions = env.world.scene, env.world.scene.robot, bench_conditions(task, n)
@@ -46,20 +46,26 @@ def scene_reset(task: Task, *, rounds: int = 5, n: int = 40) -> list[Figure]:
             seconds[-1].append(time.process_time() - begin)
     env.close()
     flat = [value for values in seconds for value in values]
-    worst = max(flat)
-    measured = f"median {1e3 * median(flat):.2f} ms, longest of {len(flat)} {1e3 * worst:.2f} ms"
-    raw = {"cpu_seconds": seconds}
-    return [Figure("exact SimScene.reset", "<= 2 ms of CPU", measured, worst <= RESET_LIMIT, raw)]
+    longest = max(flat)
+    return [
+        Figure(
+            title="exact SimScene.reset",
+            target="<= 2 ms of CPU",
+            measured=f"median {1e3 * median(flat):.2f} ms, longest of {len(flat)} {1e3 * longest:.2f} ms",
+            ok=longest <= MAX_RESET_SECONDS,
+            raw={"cpu_seconds": seconds},
+        )
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
-    """The motor commands of one planner-only episode, for the bare loop.
+class RecordedCommands:
+    """The motor commands of one planner-only episode, for the bare simulator.
 
     Attributes:
-        condition: Its condition.
-        commands: Those of each control step.
-        end: The last measured state.
+        condition: The condition.
+        commands: Commands of each control step.
+        end: The measured state at the end.
     """
 
     condition: Condition
@@ -70,16 +76,16 @@ class Recording:
 def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
     """Compare whole planner-only episodes, planning and reset included, with the bare simulator.
 
-    Bare is stepSimulation and one array motor call per substep, replaying the very same episodes: their joint targets
-    and the speeds of fixtures are computed beforehand, and resets are outside its clock. The opening is commanded where
-    it changes, since nothing would be gripped otherwise, and fixtures once per control step, since they carry things. A
-    replay that does not end in the recorded state bit for bit misses the figure: both loops must simulate the same
-    contacts.
+    The bare simulator calls stepSimulation and one array motor call per substep, and replays the very same episodes:
+    joint targets and speeds of fixtures are computed beforehand, and resets are not timed. The opening is commanded
+    where it changes, since nothing would be gripped otherwise, and fixtures once per control step, since objects stand
+    on them. Both must simulate the same contacts: a replay that does not end in the recorded state bit for bit fails
+    the figure.
 
     Args:
         task: The task.
-        rounds: Rounds; whole stack and bare loop take turns in each.
-        n: Conditions, spread over the difficulty range.
+        rounds: Number of rounds; the whole stack and the bare simulator take turns in each.
+        n: Number of conditions, spread over the difficulty range.
     """
     env = ResidualEnv(task)
     recordings = [_record(env, condition) for condition in bench_conditions(task, n)]
@@ -96,19 +102,25 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
     env.close()
     ratios = [b / w for b, w in zip(bare, whole, strict=True)]
     measured = (
-        f"{spread(ratios)}: {1 / median(whole):.0f} against {1 / median(bare):.0f} a CPU-second, "
+        f"{spread(ratios)}: {1 / median(whole):.0f} against {1 / median(bare):.0f} per CPU-second, "
         f"{n} episodes, {rounds} rounds"
     )
     if astray:
         measured += f"; {astray} replays left the recorded trajectory"
     raw: dict[str, Any] = {"whole_cpu_seconds_per_step": whole, "bare_cpu_seconds_per_step": bare, "ratio": ratios}
     raw |= {"episodes": n, "control_steps": steps, "replays_astray": astray}
-    title = "control steps per CPU-second over bare simulator"
-    ok = median(ratios) >= LEAST_RATIO and not astray
-    return [Figure(title, ">= 0.65 (aim 0.75)", measured, ok, raw)]
+    return [
+        Figure(
+            title="control steps per CPU-second over bare simulator",
+            target=">= 0.65 (aim 0.75)",
+            measured=measured,
+            ok=median(ratios) >= MIN_RATIO and not astray,
+            raw=raw,
+        )
+    ]
 
 
-def _record(env: ResidualEnv, condition: Condition) -> Recording:
+def _record(env: ResidualEnv, condition: Condition) -> RecordedCommands:
     steps: list[ControlStep] = []
     env.world.listeners.append(steps.append)
     try:
@@ -116,12 +128,12 @@ def _record(env: ResidualEnv, condition: Condition) -> Recording:
     finally:
         env.world.listeners.clear()
     references = [(step.reference.joints.q, step.reference.width) for step in steps]
-    return Recording(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
+    return RecordedCommands(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
 
 
-def _replay(scene: SimScene, recording: Recording) -> tuple[float, bool]:
-    """Replay an episode bare: CPU seconds, and whether it ended in the recorded state bit for bit."""
+def _replay(scene: SimScene, recording: RecordedCommands) -> tuple[float, bool]:
+    """Replay an episode bare; return CPU seconds, and whether it ended in the recorded state bit for bit."""
     seconds, end = replay_bare(scene, recording.condition, recording.commands)
-    # Index 4 holds time and width: the bare loop keeps no time.
+    # Index 4 is time and width; the bare simulator keeps no time.
     pairs = list(zip(state_arrays(end), state_arrays(recording.end), strict=True))
     return seconds, all(np.array_equal(a, b) for i, (a, b) in enumerate(pairs) if i != 4)

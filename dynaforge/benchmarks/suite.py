@@ -1,4 +1,4 @@
-"""What can be measured, and how it is shown and described."""
+"""The list of measurements, the table of their figures, and the description of the machine."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from dynaforge.benchmarks.figure import Figure
 from dynaforge.sampling.processes import usable_cores
 from dynaforge.tasks import Task
 
-QUIET_LOAD = 0.5  # processes waiting for a core, over a minute, up to which nothing else runs
+QUIET_LOAD = 0.5  # load average of the last minute up to which the machine counts as idle
 
 Measurement = Callable[[Task, int], list[Figure]]
 
 
 def _of(module: str) -> Any:
-    """Import what measures when it is to measure: torch takes seconds."""
+    """Import a module of this package only when it is used, because torch takes seconds."""
     return import_module(f"dynaforge.benchmarks.{module}")
 
 
@@ -39,10 +39,10 @@ MEASUREMENTS: dict[str, Measurement] = {
     "global-planner": lambda task, rounds: _of("limits").global_planner(task),
     "demonstrations": lambda task, rounds: _of("data").demonstrations(task),
 }
-"""What can be measured, by its name for `--only`, in the order of the table."""
+"""The measurements by their names for `--only`, in the order of the table."""
 
 LONG = frozenset({"demonstrations"})
-"""What takes more than five minutes and is measured only when named."""
+"""Measurements that take more than five minutes, and are made only when named."""
 
 
 def table(figures: Sequence[Figure]) -> str:
@@ -52,7 +52,7 @@ def table(figures: Sequence[Figure]) -> str:
 
 
 def describe_machine() -> dict[str, Any]:
-    """Describe processor, cores, and how busy the machine is before anything is measured."""
+    """Return processor, cores, system, and how busy the machine is before anything is measured."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.is_file():

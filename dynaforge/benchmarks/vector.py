@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -22,9 +22,9 @@ from dynaforge.registration import env_id
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.tasks import Task
 
-MOST_OVERHEAD = 20e-6  # CPU seconds per env step beside the env's own
-LEAST_GAIN = 1.7  # times one env's throughput, with two workers
-MOST_ERROR_SECONDS, MOST_CLOSE_SECONDS = 5.0, 2.0
+MAX_OVERHEAD = 20e-6  # CPU seconds per step of an env, beyond the env's own
+MIN_GAIN = 1.7  # times one env's throughput, with two workers
+MAX_ERROR_SECONDS, MAX_CLOSE_SECONDS = 5.0, 2.0
 KILL_AFTER = 0.15  # seconds into the rollout
 
 EnvFn = Callable[[], gym.Env[Any, Any]]
@@ -37,41 +37,58 @@ def vectorised(
 
     Args:
         task: The task.
-        rounds: Rounds; vectorised env and single env take turns in each.
-        n_envs: Envs.
-        n_workers: Worker processes.
-        n_steps: Steps of the vectorised env a round.
+        rounds: Number of rounds; vectorised env and single env take turns in each.
+        n_envs: Number of envs.
+        n_workers: Number of worker processes.
+        n_steps: Steps of the vectorised env per round.
     """
     size = f"{n_envs} envs, {n_workers} workers"
-    overheads, _ = compare(partial(BusyLoopEnv, 2e-4), "overhead", rounds, n_envs, n_workers, n_steps)
-    _, gains = compare(partial(BusyLoopEnv, 1e-3), "gain, 1 ms env", rounds, n_envs, n_workers, n_steps)
-    make = partial(gym.make, env_id(task.name), gate_mode="mask")
-    own_costs, own_gains = compare(make, f"gain, {task.name}", rounds, n_envs, n_workers, n_steps)
+    measure = partial(overhead_and_gain, rounds=rounds, n_envs=n_envs, n_workers=n_workers, n_steps=n_steps)
+    overheads, _ = measure(partial(BusyLoopEnv, 2e-4), "overhead")
+    _, gains = measure(partial(BusyLoopEnv, 1e-3), "gain, 1 ms env")
+    own_costs, own_gains = measure(partial(gym.make, env_id(task.name), gate_mode="mask"), f"gain, {task.name}")
     micro = [1e6 * value for value in overheads]
     return [
         Figure(
-            f"vectorised overhead an env-step, {size}", "<= 20 us of CPU", f"{spread(micro, digits=1)} us",
-            median(overheads) <= MOST_OVERHEAD, {"cpu_seconds": overheads},
+            title=f"vectorised overhead per env step, {size}",
+            target="<= 20 us of CPU",
+            measured=f"{spread(micro, digits=1)} us",
+            ok=median(overheads) <= MAX_OVERHEAD,
+            raw={"cpu_seconds": overheads},
         ),
         Figure(
-            f"throughput over one 1 ms env, {size}", ">= 1.7", spread(gains), median(gains) >= LEAST_GAIN,
-            {"ratio": gains},
+            title=f"throughput over one 1 ms env, {size}",
+            target=">= 1.7",
+            measured=spread(gains),
+            ok=median(gains) >= MIN_GAIN,
+            raw={"ratio": gains},
         ),
         Figure(
-            f"throughput over one {task.env_name} env, {size}", ">= 1.7", spread(own_gains),
-            median(own_gains) >= LEAST_GAIN, {"ratio": own_gains, "cpu_seconds_beside_one_env": own_costs},
+            title=f"throughput over one {task.env_name} env, {size}",
+            target=">= 1.7",
+            measured=spread(own_gains),
+            ok=median(own_gains) >= MIN_GAIN,
+            raw={"ratio": own_gains, "cpu_seconds_beside_one_env": own_costs},
         ),
-    ]  # fmt: skip
+    ]
 
 
-def compare(
-    make: EnvFn, title: str, rounds: int, n_envs: int, n_workers: int, n_steps: int
+def overhead_and_gain(
+    make: EnvFn, title: str, *, rounds: int, n_envs: int, n_workers: int, n_steps: int
 ) -> tuple[list[float], list[float]]:
     """Compare a vectorised env with one env in this process, under the same random actions.
 
+    Args:
+        make: Makes an env.
+        title: Text in front of the progress bar.
+        rounds: Number of rounds.
+        n_envs: Number of envs.
+        n_workers: Number of worker processes.
+        n_steps: Steps of the vectorised env per round.
+
     Returns:
-        For each round the CPU seconds per env step (this process and workers) beyond the single env's, and the
-        throughput by the wall clock over the single env's.
+        For each round the CPU seconds per env step (this process and the workers) beyond the single env's, and the
+        throughput by the clock over the single env's.
     """
     one = make()
     env = SharedMemoryVecEnv([_Timed(make)] * n_envs, n_workers=n_workers)
@@ -104,7 +121,7 @@ def compare(
 
 
 class _Timed:
-    """Makes an env that reports the processor time of its process."""
+    """Makes an env that reports the CPU time of its process."""
 
     def __init__(self, make: EnvFn) -> None:
         self._make = make
@@ -117,19 +134,30 @@ class _Timed:
 
 
 def _processor_time(env: SharedMemoryVecEnv) -> float:
-    """Return the processor seconds used so far by this process and the workers."""
+    """Return the CPU seconds used so far by this process and the workers."""
     return time.process_time() + sum(dict(env.env_method("processor_time")).values())
 
 
 def worker_killed(task: Task, *, rounds: int = 3, n_envs: int = 4, n_workers: int = 2) -> list[Figure]:
-    """Kill a worker in the middle of a rollout; time the error and `close()`, and look for processes left behind."""
+    """Kill a worker in the middle of a rollout; time the error and `close()`, and look for processes left behind.
+
+    Args:
+        task: The task.
+        rounds: Number of kills.
+        n_envs: Number of envs.
+        n_workers: Number of worker processes.
+    """
     raw = [_kill_one(task.name, n_envs, n_workers) for _ in tracked(range(rounds), "worker killed", total=rounds)]
     error, close = (max(result[name] for result in raw) for name in ("error_seconds", "close_seconds"))
     orphans = sum(result["orphans"] for result in raw)
-    ok = error <= MOST_ERROR_SECONDS and close <= MOST_CLOSE_SECONDS and orphans == 0
-    measured = f"error in {error:.2f} s, close in {close:.2f} s, {orphans} orphans, {rounds} kills"
     return [
-        Figure("a worker killed mid-rollout", "error <= 5 s, close <= 2 s, no orphan", measured, ok, {"kills": raw})
+        Figure(
+            title="a worker killed mid-rollout",
+            target="error <= 5 s, close <= 2 s, no orphan",
+            measured=f"error in {error:.2f} s, close in {close:.2f} s, {orphans} orphans, {rounds} kills",
+            ok=error <= MAX_ERROR_SECONDS and close <= MAX_CLOSE_SECONDS and orphans == 0,
+            raw={"kills": raw},
+        )
     ]
 
 
@@ -141,7 +169,7 @@ def _kill_one(task: str, n_envs: int, n_workers: int) -> dict[str, Any]:
         env.reset()
         pids = sorted(set(env.env_method("pid")))
         threading.Timer(KILL_AFTER, _kill, (pids[-1], killed_at)).start()
-        message = _roll_until_death(env, time.monotonic() + KILL_AFTER + 2 * MOST_ERROR_SECONDS)
+        message = _roll_until_death(env, time.monotonic() + KILL_AFTER + 2 * MAX_ERROR_SECONDS)
         error_seconds = time.monotonic() - killed_at[0] if killed_at and message else float("inf")
     finally:
         begin = time.monotonic()
@@ -152,7 +180,7 @@ def _kill_one(task: str, n_envs: int, n_workers: int) -> dict[str, Any]:
 
 
 def _roll_until_death(env: SharedMemoryVecEnv, deadline: float) -> str:
-    """Step until the error; return what it says, or nothing when none came."""
+    """Step until a worker is reported dead; return that message, or "" if none came before the deadline."""
     actions = np.zeros((env.num_envs, *(env.action_space.shape or ())), np.float32)
     try:
         while time.monotonic() < deadline:
@@ -170,14 +198,12 @@ def _kill(pid: int, killed_at: list[float]) -> None:
 
 def _alive_after(pid: int, *, seconds: float) -> bool:
     """Return whether a process still runs after a time in which the system may clear it away."""
-    return all(_runs(pid) for _ in _polls(seconds))
-
-
-def _polls(seconds: float) -> Iterator[None]:
     deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        yield
+    while _runs(pid):
+        if time.monotonic() >= deadline:
+            return True
         time.sleep(0.02)
+    return False
 
 
 def _runs(pid: int) -> bool:

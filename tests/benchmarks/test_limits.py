@@ -44,20 +44,20 @@ def test_every_kind_of_excess_of_a_trajectory_is_seen():
     robot = franka()
     collision, ready = CollisionModel(robot), robot.q_ready
     turn = np.eye(7)[0]
-    calm = bench_limits.examine(straight(ready, ready + 1.31 * turn, 1.0), robot, collision)
+    calm = bench_limits.limit_use(straight(ready, ready + 1.31 * turn, 1.0), robot, collision)
     assert calm.inside
     assert calm.velocity == pytest.approx(0.5)  # 1.31 of 2.62 rad/s
     assert calm.position == pytest.approx(-0.8421)  # joint 4 is nearest its limit: -2.2 of -3.0421 rad
     fast = straight(ready, ready + 1.31 * turn, 0.4)
-    assert bench_limits.examine(fast, robot, collision).velocity == pytest.approx(1.25)
+    assert bench_limits.limit_use(fast, robot, collision).velocity == pytest.approx(1.25)
     quiet = replace(fast, dq=0.0 * fast.dq)  # claims to stand, and moves
-    assert not bench_limits.examine(quiet, robot, collision).inside
+    assert not bench_limits.limit_use(quiet, robot, collision).inside
     jump = replace(fast, dq=np.where(np.arange(5)[:, None] < 2, 0.0, 2.0 * turn))  # 2 rad/s in 0.1 s, of 10 rad/s^2
-    assert bench_limits.examine(jump, robot, collision).acceleration == pytest.approx(2.0)
-    beyond = bench_limits.examine(straight(ready, ready + 3.0 * turn, 3.0), robot, collision)
+    assert bench_limits.limit_use(jump, robot, collision).acceleration == pytest.approx(2.0)
+    beyond = bench_limits.limit_use(straight(ready, ready + 3.0 * turn, 3.0), robot, collision)
     assert beyond.position == pytest.approx(3.0 - 2.7437)
     down = ready + np.array((0, 1.2, 0, 0.6, 0, 0, 0))  # stretches the arm through the table
-    through = bench_limits.examine(straight(ready, down, 3.0), robot, collision)
+    through = bench_limits.limit_use(straight(ready, down, 3.0), robot, collision)
     assert through.collisions > 0
     assert not through.started_in_collision
     assert not through.inside
@@ -72,4 +72,4 @@ def test_a_hit_between_two_free_samples_is_seen():
     assert not collision.in_collision(low)
     assert not collision.in_collision(high)
     swing = straight(low, high, 2.0, dt=2.0)  # two samples, the post between them
-    assert bench_limits.examine(swing, robot, collision).collisions > 0
+    assert bench_limits.limit_use(swing, robot, collision).collisions > 0

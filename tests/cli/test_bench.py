@@ -23,7 +23,7 @@ CAN = get_task("can")
 @pytest.fixture
 def found(monkeypatch):
     """Let `dynaforge bench` find these figures instead of measuring."""
-    figures = {"light": Figure("lightness", "<= 1 kg", "0.5 kg", True, {"rounds": [0.5]})}
+    figures = {"light": Figure(title="lightness", target="<= 1 kg", measured="0.5 kg", ok=True, raw={"rounds": [0.5]})}
     measurements = {n: lambda task, rounds, n=n: [figures[n]] for n in ("light", "tall")}
     for module in (bench, suite):
         monkeypatch.setattr(module, "MEASUREMENTS", measurements)
