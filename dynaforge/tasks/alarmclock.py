@@ -16,30 +16,34 @@ from dynaforge.tasks.targets import Above, Grip
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 BUTTON_RADIUS = 0.008
-CLICK = 0.005  # of the button's 8 mm of travel, metres
-CLOSED = 0.005  # opening of a closed hand, metres, at most
+CLICK = 0.005  # how far the button, which has 8 mm of travel, must be pressed in, metres
+CLOSED = 0.005  # largest opening of a closed hand, metres
 HOVER = 0.05
 
 CONDITIONS = ConditionSpace(
     task="alarmclock",
     difficulty="speed",
     ranges={
-        # Of the button on its circle, m/s: near static up to five radians a second.
+        # Speed of the button on its circle, m/s: nearly static up to five radians per second.
         "speed": (0.05, 0.5),
         # Radius of that circle, metres: the clock stays on the disc, and the circle stays within reach.
         "radius": (0.08, 0.12),
-        # Anticlockwise or clockwise, by its sign.
+        # The sign is the direction: anticlockwise or clockwise.
         "side": (-1.0, 1.0),
-        # Where on its circle it is at t = 0.
+        # Where on its circle the button is at t = 0.
         "angle": (-math.pi, math.pi),
-        # Of the turntable's axis: the whole circle lies between 0.32 and 0.65 m from the robot's base.
+        # Position of the turntable's axis: the whole circle lies between 0.32 and 0.65 m from the robot's base.
         "centre_x": (0.45, 0.51),
         "centre_y": (-0.08, 0.08),
     },
     units={
-        "speed": "m/s", "radius": "m", "angle": "rad", "centre_x": "m", "centre_y": "m",
+        "speed": "m/s",
+        "radius": "m",
+        "angle": "rad",
+        "centre_x": "m",
+        "centre_y": "m",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Placement]:
@@ -63,7 +67,10 @@ TASK = Task(
         launch=launch,
         fixtures=(
             FixtureSpec(
-                "alarmclock", "alarmclock/alarmclock.urdf", link="button", driven=("turn", "offset"),
+                "alarmclock",
+                "alarmclock/alarmclock.urdf",
+                link="button",
+                driven=("turn", "offset"),
                 spring=Spring("press", 5.0),
             ),
         ),
@@ -71,23 +78,40 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "approach", Mode.GLOBAL, Above("alarmclock", HOVER + 0.02, Grip.KEPT), width=0.0,
-            done=All((Narrowed(CLOSED), Aligned("alarmclock", 0.25, height=HOVER + 0.05))), timeout=2.0,
+            "approach",
+            Mode.GLOBAL,
+            Above("alarmclock", HOVER + 0.02, Grip.KEPT),
+            width=0.0,
+            done=All((Narrowed(CLOSED), Aligned("alarmclock", 0.25, height=HOVER + 0.05))),
+            timeout=2.0,
             failure="not reached",
         ),
         Phase(
-            "track", Mode.IK, Above("alarmclock", HOVER, Grip.KEPT), width=0.0, gate=True,
-            done=Aligned("alarmclock", 0.03), hold=1 / 30, timeout=2.0, failure="lost track",
+            "track",
+            Mode.IK,
+            Above("alarmclock", HOVER, Grip.KEPT),
+            width=0.0,
+            gate=True,
+            done=Aligned("alarmclock", 0.03),
+            hold=1 / 30,
+            timeout=2.0,
+            failure="lost track",
         ),
         Phase(
-            "press", Mode.IK, Above("alarmclock", -CLICK - 0.002, Grip.KEPT), width=0.0, gate=True,
-            done=Clicked("alarmclock", CLICK, BUTTON_RADIUS, CLOSED), timeout=1.0, failure="missed button",
+            "press",
+            Mode.IK,
+            Above("alarmclock", -CLICK - 0.002, Grip.KEPT),
+            width=0.0,
+            gate=True,
+            done=Clicked("alarmclock", CLICK, BUTTON_RADIUS, CLOSED),
+            timeout=1.0,
+            failure="missed button",
         ),
     ),
     impossible=(),
-    # Along the heading: the arm trails a button at 0.5 m/s by 3 cm once it follows the circle, by more before.
-    # Across: it cuts the circle by a centimetre or two. The fingers stay closed, and a press is the same however
-    # the hand is turned.
+    # Along the heading: the arm trails a button at 0.5 m/s by 3 cm once it follows the circle, and by more before.
+    # Across: the arm cuts the circle by a centimetre or two. The fingers stay closed, and the hand's rotation does not
+    # matter to a press.
     residual=ResidualSpec(translation=(0.06, 0.03, 0.03), rotation=(0.0, 0.0, 0.0), width=0.0),
     camera=((1.10, -0.45, 0.55), (0.42, 0.0, 0.16)),
-)  # fmt: skip
+)

@@ -31,45 +31,55 @@ from dynaforge.tasks.predicates import (
 from dynaforge.tasks.targets import Above, Grip, Over, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
-HALF = 0.0225  # metres: half an edge of the block
+HALF = 0.0225  # half the edge length of the block, metres
 TOP = 0.024  # height of tray and pad above the table, metres
 TRAY_ARM, TRAY_SWING = 0.15, 0.14
 PAD_ARM, PAD_SWING = 0.08, 0.08
-# Tray and pad keep 22 cm and 13 cm around these points on either side of the robot: they never meet.
+# Tray and pad stay within 22 cm and 13 cm of these points, on either side of the robot, and so never meet.
 CENTRE_X, TRAY_Y, PAD_Y = 0.47, 0.20, 0.19
 
 CONDITIONS = ConditionSpace(
     task="block",
     difficulty="speed",
     ranges={
-        # Peak speed of the tray, near static up to a brisk conveyor: at 0.4 m/s it accelerates at up to 1.6 m/s^2,
+        # Peak speed of the tray, nearly static up to a fast conveyor: at 0.4 m/s it accelerates at up to 1.6 m/s^2,
         # well below the 4 m/s^2 at which the block would slide.
         "speed": (0.05, 0.4),
-        # Below zero the tray slides to and fro, else an arm carries it round and round.
+        # Below zero the tray slides back and forth, otherwise an arm carries it in circles.
         "tray_motion": (-1.0, 1.0),
         "tray_phase": (-math.pi, math.pi),
         "tray_yaw": (-math.pi / 2, math.pi / 2),
-        # The tray itself turns by up to 30 degrees a second. With the arm's own 150 the wrist of the tracking hand lags
-        # by up to 40 degrees and holds up all other joints: hardly a constant residual won.
+        # The tray itself turns at up to 30 degrees per second. If it turned with the carrier's arm, at up to 150, the
+        # wrist of the tracking hand would lag by up to 40 degrees and delay all other joints: hardly any constant
+        # residual succeeded.
         "tray_spin": (-0.5, 0.5),
-        # Peak speed of the pad: below zero it slides to and fro, else it turns.
+        # Peak speed of the pad: below zero it slides back and forth, otherwise it turns.
         "pad_speed": (-0.25, 0.25),
         "pad_phase": (-math.pi, math.pi),
         "pad_yaw": (-math.pi / 2, math.pi / 2),
-        # The tray stands on the right or on the left, by its sign, the pad on the other side.
+        # The sign is the side of the tray, right or left; the pad is on the other side.
         "side": (-1.0, 1.0),
-        # How the block lies on the tray: off its middle, and turned.
+        # Pose of the block on the tray: offset from its middle, and yaw.
         "offset_x": (-0.01, 0.01),
         "offset_y": (-0.01, 0.01),
         "yaw": (-math.pi / 4, math.pi / 4),
-        # A block of balsa to one of hardwood, kg.
+        # From balsa to hardwood, kg.
         "mass": (0.04, 0.12),
     },
     units={
-        "speed": "m/s", "tray_phase": "rad", "tray_yaw": "rad", "tray_spin": "rad/s", "pad_speed": "m/s",
-        "pad_phase": "rad", "pad_yaw": "rad", "offset_x": "m", "offset_y": "m", "yaw": "rad", "mass": "kg",
+        "speed": "m/s",
+        "tray_phase": "rad",
+        "tray_yaw": "rad",
+        "tray_spin": "rad/s",
+        "pad_speed": "m/s",
+        "pad_phase": "rad",
+        "pad_yaw": "rad",
+        "offset_x": "m",
+        "offset_y": "m",
+        "yaw": "rad",
+        "mass": "kg",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
@@ -94,7 +104,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 IN_HAND = (("dropped", Not(Around("block", 0.05))),)
 HOVER, RELEASE = HALF + 0.035, HALF + 0.003
-GRIP = 0.035  # commanded while held: firm on 45 mm, and soon open again
+GRIP = 0.035  # commanded width while the block is grasped: firm on 45 mm, and quick to open again
 
 TASK = Task(
     name="block",
@@ -105,7 +115,7 @@ TASK = Task(
     goal="The block stands on the pad within 25 mm of its centre, released and at rest relative to it, for 0.25 s.",
     instruction="pick up the block from the moving tray and place it on the moving pad",
     scene=SceneSpec(
-        # Painted wood. At 0.8 a block that stands askew between the fingers jams there, and does not turn flat to them.
+        # Painted wood. At 0.8 a block that is askew between the fingers jams instead of turning flat against them.
         bodies=(BodySpec("block", "block/block.urdf", lateral_friction=0.5),),
         fixtures=(
             FixtureSpec("tray", "block/tray.urdf", "tray", driven=LEVELLED),
@@ -117,52 +127,123 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Above("block", 0.10, Grip.FACES), width=0.08,
-            done=Reached(0.03), timeout=2.5, failure="not reached",
+            "pregrasp",
+            Mode.GLOBAL,
+            Above("block", 0.10, Grip.FACES),
+            width=0.08,
+            done=Reached(0.03),
+            timeout=2.5,
+            failure="not reached",
         ),
         Phase(
-            "track", Mode.IK, Above("block", 0.06, Grip.FACES), width=0.08, gate=True,
-            done=Aligned("block", 0.018, height=0.09), hold=1 / 30, timeout=2.0, failure="lost track",
+            "track",
+            Mode.IK,
+            Above("block", 0.06, Grip.FACES),
+            width=0.08,
+            gate=True,
+            done=Aligned("block", 0.018, height=0.09),
+            hold=1 / 30,
+            timeout=2.0,
+            failure="lost track",
         ),
         Phase(
-            "descend", Mode.IK, Above("block", 0.0, Grip.FACES), width=0.08, gate=True,
-            done=Aligned("block", 0.02, height=0.012), timeout=1.0, failure="missed descent",
+            "descend",
+            Mode.IK,
+            Above("block", 0.0, Grip.FACES),
+            width=0.08,
+            gate=True,
+            done=Aligned("block", 0.02, height=0.012),
+            timeout=1.0,
+            failure="missed descent",
         ),
         Phase(
-            "close", Mode.IK, Above("block", 0.0, Grip.FACES), width=GRIP, gate=True,
-            done=Grasped("block"), hold=0.1, timeout=0.8, failure="missed close",
+            "close",
+            Mode.IK,
+            Above("block", 0.0, Grip.FACES),
+            width=GRIP,
+            gate=True,
+            done=Grasped("block"),
+            hold=0.1,
+            timeout=0.8,
+            failure="missed close",
         ),
         Phase(
-            "lift", Mode.GLOBAL, Raised("block", 0.08), width=GRIP, takes_hold=True,
-            done=All((Lifted("block", 0.06), Grasped("block"))), hold=1 / 30, timeout=1.5, failure="slipped",
+            "lift",
+            Mode.GLOBAL,
+            Raised("block", 0.08),
+            width=GRIP,
+            takes_hold=True,
+            done=All((Lifted("block", 0.06), Grasped("block"))),
+            hold=1 / 30,
+            timeout=1.5,
+            failure="slipped",
         ),
         Phase(
-            "carry", Mode.GLOBAL, Over("pad", "block", HOVER), width=GRIP,
-            done=Reached(0.02), timeout=2.0, failure="not carried", fails=IN_HAND,
-        ),
-        Phase(
-            "hover", Mode.IK, Over("pad", "block", HOVER, upright=True), width=GRIP, gate=True, residual_share=0.5,
-            done=Within("block", "pad", 0.018, HOVER + 0.02), hold=1 / 30, timeout=2.0, failure="lost pad",
+            "carry",
+            Mode.GLOBAL,
+            Over("pad", "block", HOVER),
+            width=GRIP,
+            done=Reached(0.02),
+            timeout=2.0,
+            failure="not carried",
             fails=IN_HAND,
         ),
         Phase(
-            "lower", Mode.IK, Over("pad", "block", RELEASE, upright=True), width=GRIP, gate=True, residual_share=0.5,
-            done=Within("block", "pad", 0.02, RELEASE + 0.004), timeout=1.0, failure="missed pad", fails=IN_HAND,
+            "hover",
+            Mode.IK,
+            Over("pad", "block", HOVER, upright=True),
+            width=GRIP,
+            gate=True,
+            residual_share=0.5,
+            done=Within("block", "pad", 0.018, HOVER + 0.02),
+            hold=1 / 30,
+            timeout=2.0,
+            failure="lost pad",
+            fails=IN_HAND,
         ),
         Phase(
-            "release", Mode.IK, Over("pad", "block", RELEASE, upright=True), width=0.08, gate=True, residual_share=0.5,
-            done=Not(Narrowed(0.065)), timeout=0.8, failure="not released",
+            "lower",
+            Mode.IK,
+            Over("pad", "block", RELEASE, upright=True),
+            width=GRIP,
+            gate=True,
+            residual_share=0.5,
+            done=Within("block", "pad", 0.02, RELEASE + 0.004),
+            timeout=1.0,
+            failure="missed pad",
+            fails=IN_HAND,
         ),
         Phase(
-            "settle", Mode.IK, Raised("block", 0.06), width=0.08,
-            done=All((
-                Within("block", "pad", 0.025, HALF + 0.005), Upright("block", 0.1), Released("block"),
-                AtRestOn("block", "pad", 0.05),
-            )),
-            hold=0.25, timeout=1.5, failure="not on pad",
+            "release",
+            Mode.IK,
+            Over("pad", "block", RELEASE, upright=True),
+            width=0.08,
+            gate=True,
+            residual_share=0.5,
+            done=Not(Narrowed(0.065)),
+            timeout=0.8,
+            failure="not released",
+        ),
+        Phase(
+            "settle",
+            Mode.IK,
+            Raised("block", 0.06),
+            width=0.08,
+            done=All(
+                (
+                    Within("block", "pad", 0.025, HALF + 0.005),
+                    Upright("block", 0.1),
+                    Released("block"),
+                    AtRestOn("block", "pad", 0.05),
+                )
+            ),
+            hold=0.25,
+            timeout=1.5,
+            failure="not on pad",
         ),
     ),
     impossible=(("dropped", Fallen("block")), ("knocked off", OnTable("block"))),
-    # Along the heading: the limited arm trails a tray at 0.4 m/s by 6 cm, and a turning one by 3 cm sideways.
+    # Along the heading: the arm, within its limits, trails a tray at 0.4 m/s by 6 cm, and a turning one by 3 cm
+    # sideways.
     residual=ResidualSpec(translation=(0.08, 0.04, 0.03), rotation=(0.0, 0.0, 0.3)),
-)  # fmt: skip
+)

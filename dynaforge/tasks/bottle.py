@@ -16,40 +16,46 @@ from dynaforge.tasks.reach import along_arc, arc_to_disc
 from dynaforge.tasks.targets import Above, DownstreamArc, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
-# The bottle touches the table with two circles of these radii, this far apart along its axis, its origin midway.
+# The bottle touches the table with two circles of these radii, this far apart along its axis; its origin is midway.
 WIDE, NARROW, APART = 0.033, 0.029, 0.10
 TILT = math.asin((WIDE - NARROW) / APART)
-"""Of its axis while it lies on the table, thin end down, radians."""
+"""Tilt of its axis while it lies on the table, thin end down, radians."""
 HEIGHT = (WIDE + NARROW) / 2
-"""Of its origin while it lies on the table, metres."""
+"""Height of its origin while it lies on the table, metres."""
 TURN = HEIGHT / math.tan(TILT)
-"""It rolls like a cone about its tip, which is on the table: radius of its origin's circle, metres."""
+"""Radius of the circle on which its origin moves, metres: it rolls like a cone about its tip, which is on the table."""
 REACH = 0.60
 
 CONDITIONS = ConditionSpace(
     task="bottle",
     difficulty="speed",
     ranges={
-        # Near static up to a brisk push. At 1.2 m/s it needs a fifth of its weight to stay on its curve: no slip.
+        # Nearly static up to a strong push. At 1.2 m/s a force of a fifth of its weight keeps it on its curve: no slip.
         "speed": (0.05, 1.2),
-        # From the right or from the left, by its sign.
+        # The sign is the side it comes from: right or left.
         "side": (-1.0, 1.0),
-        # Where it crosses the plane ahead of the robot, it goes straight to one side, up to 20 degrees off.
+        # Where it passes in front of the robot, it moves straight to one side, up to 20 degrees off.
         "heading": (-0.35, 0.35),
-        # That point: x, the middle of the reach and near enough that the circle, on the far side, is on the table; y.
+        # That point: x in the middle of the reach, and so near that the circle, on the far side, is on the table; y.
         "cross_x": (0.42, 0.52),
         "cross_y": (-0.05, 0.05),
-        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to get there, and 0.2 s to set off;
-        # in 1.2 s the fastest comes half round its circle, from as far as the table goes.
+        # Seconds, at launch speed, until it enters the reach: the arm needs 0.7 s to get there, after 0.2 s to start.
+        # In 1.2 s the fastest bottle goes half round its circle, from the far end of the table.
         "lead": (0.9, 1.2),
-        # Empty glass to half full, kg.
+        # From an empty to a half-full glass bottle, kg.
         "mass": (0.15, 0.4),
         "roll": (0.0, 2 * math.pi),
     },
     units={
-        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg", "roll": "rad",
+        "speed": "m/s",
+        "heading": "rad",
+        "cross_x": "m",
+        "cross_y": "m",
+        "lead": "s",
+        "mass": "kg",
+        "roll": "rad",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch]:
@@ -63,9 +69,16 @@ def launch(condition: Condition) -> Mapping[str, Launch]:
 
 
 def rolling(heading: Pose, side: float, speed: float, roll: float, mass: float) -> Launch:
-    """Launch a bottle along x of a heading frame at its origin; its thin end points right if `side` is positive.
+    """Launch a bottle rolling without slip along the x axis of a heading frame.
 
-    Both contacts stand still, so it turns about the line through them, which is level.
+    Both points of contact are at rest, so the bottle turns about the line through them, which is horizontal.
+
+    Args:
+        heading: Heading frame, at the bottle's origin.
+        side: 1.0 or -1.0: the thin end points right or left.
+        speed: Speed of the origin, m/s.
+        roll: Angle of the bottle about its own axis, radians.
+        mass: kg.
     """
     ahead, up = heading.rotation[:, 0], heading.rotation[:, 2]
     to_tip = -side * heading.rotation[:, 1]
@@ -87,31 +100,61 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, DownstreamArc("bottle", 0.085, reach=REACH, clearance=0.08, radius=TURN),
-            width=0.08, done=All((Reached(0.03), Near("bottle", 0.30))), timeout=3.0, failure="not reached",
+            "pregrasp",
+            Mode.GLOBAL,
+            DownstreamArc("bottle", 0.085, reach=REACH, clearance=0.08, radius=TURN),
+            width=0.08,
+            done=All((Reached(0.03), Near("bottle", 0.30))),
+            timeout=3.0,
+            failure="not reached",
         ),
-        # No stricter than the descent: on a curve a tight bound held for two steps turns good grasps away.
+        # No stricter than the descent: on a curve, a tight bound that must hold for two steps rejects good grasps.
         Phase(
-            "track", Mode.IK, Above("bottle", 0.085), width=0.08, gate=True,
-            done=Aligned("bottle", 0.02, 0.03), timeout=2.5, failure="lost track",
+            "track",
+            Mode.IK,
+            Above("bottle", 0.085),
+            width=0.08,
+            gate=True,
+            done=Aligned("bottle", 0.02, 0.03),
+            timeout=2.5,
+            failure="lost track",
         ),
         Phase(
-            "descend", Mode.IK, Above("bottle", 0.0), width=0.08, gate=True,
-            done=Aligned("bottle", 0.02, 0.03, height=0.012), timeout=1.0, failure="missed descent",
+            "descend",
+            Mode.IK,
+            Above("bottle", 0.0),
+            width=0.08,
+            gate=True,
+            done=Aligned("bottle", 0.02, 0.03, height=0.012),
+            timeout=1.0,
+            failure="missed descent",
             track_until=Touched("bottle"),
         ),
         Phase(
-            "close", Mode.IK, Above("bottle", 0.0), width=0.0, gate=True,
-            done=Grasped("bottle"), hold=0.1, timeout=0.8, failure="missed close",
+            "close",
+            Mode.IK,
+            Above("bottle", 0.0),
+            width=0.0,
+            gate=True,
+            done=Grasped("bottle"),
+            hold=0.1,
+            timeout=0.8,
+            failure="missed close",
             track_until=Touched("bottle"),
         ),
         Phase(
-            "lift", Mode.GLOBAL, Raised("bottle", 0.15), width=0.0,
-            done=All((Lifted("bottle", 0.10), Grasped("bottle"))), hold=0.25, timeout=2.5, failure="slipped",
+            "lift",
+            Mode.GLOBAL,
+            Raised("bottle", 0.15),
+            width=0.0,
+            done=All((Lifted("bottle", 0.10), Grasped("bottle"))),
+            hold=0.25,
+            timeout=2.5,
+            failure="slipped",
         ),
     ),
     impossible=(("dropped", Fallen("bottle")), ("lost track", Departed("bottle", 0.75))),
-    # Along the heading: the limited arm trails a bottle at 1 m/s by 15 cm. Upward: the hover height and as much again.
-    # Across: half the length of its body. About the vertical: what its heading turns in 0.13 s at 1.2 m/s.
+    # Along the heading: the arm, within its limits, trails a bottle at 1 m/s by 15 cm. Upward: twice the hover
+    # height. Across: half the length of its body. About the vertical: what its heading turns in 0.13 s at 1.2 m/s.
     residual=ResidualSpec(translation=(0.15, 0.03, 0.15), rotation=(0.0, 0.0, 0.2)),
-)  # fmt: skip
+)

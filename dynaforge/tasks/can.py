@@ -23,25 +23,31 @@ CONDITIONS = ConditionSpace(
     task="can",
     difficulty="speed",
     ranges={
-        # Near static up to the paper's 1.5 m/s at launch.
+        # Nearly static up to the paper's 1.5 m/s at launch.
         "speed": (0.05, 1.5),
-        # From the right or from the left, by its sign.
+        # The sign is the side it comes from: right or left.
         "side": (-1.0, 1.0),
         # Up to 20 degrees off the straight line across the workspace.
         "heading": (-0.35, 0.35),
-        # Where its line crosses the plane ahead of the robot: x, the middle of the reach; y, the offset along the line.
+        # A point on its line in front of the robot: x in the middle of the reach; y, the offset along the line.
         "cross_x": (0.42, 0.55),
         "cross_y": (-0.05, 0.05),
-        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to get there, and 0.2 s to set off.
+        # Seconds, at launch speed, until it enters the reach: the arm needs 0.7 s to get there, after 0.2 s to start.
         "lead": (0.9, 1.3),
-        # An empty to a full can of food, kg.
+        # From an almost empty to a full can, kg.
         "mass": (0.1, 0.4),
         "roll": (0.0, 2 * math.pi),
     },
     units={
-        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg", "roll": "rad",
+        "speed": "m/s",
+        "heading": "rad",
+        "cross_x": "m",
+        "cross_y": "m",
+        "lead": "s",
+        "mass": "kg",
+        "roll": "rad",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch]:
@@ -68,30 +74,61 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Downstream("can", 0.085, reach=REACH, clearance=0.08), width=0.08,
-            done=All((Reached(0.03), Near("can", 0.30))), timeout=3.0, failure="not reached",
+            "pregrasp",
+            Mode.GLOBAL,
+            Downstream("can", 0.085, reach=REACH, clearance=0.08),
+            width=0.08,
+            done=All((Reached(0.03), Near("can", 0.30))),
+            timeout=3.0,
+            failure="not reached",
         ),
         Phase(
-            "track", Mode.IK, Above("can", 0.085), width=0.08, gate=True,
-            done=Aligned("can", 0.012, 0.03), hold=1 / 30, timeout=2.5, failure="lost track",
+            "track",
+            Mode.IK,
+            Above("can", 0.085),
+            width=0.08,
+            gate=True,
+            done=Aligned("can", 0.012, 0.03),
+            hold=1 / 30,
+            timeout=2.5,
+            failure="lost track",
         ),
         Phase(
-            "descend", Mode.IK, Above("can", 0.0), width=0.08, gate=True,
-            done=Aligned("can", 0.02, 0.03, height=0.012), timeout=1.0, failure="missed descent",
+            "descend",
+            Mode.IK,
+            Above("can", 0.0),
+            width=0.08,
+            gate=True,
+            done=Aligned("can", 0.02, 0.03, height=0.012),
+            timeout=1.0,
+            failure="missed descent",
             track_until=Touched("can"),
         ),
         Phase(
-            "close", Mode.IK, Above("can", 0.0), width=0.0, gate=True,
-            done=Grasped("can"), hold=0.1, timeout=0.8, failure="missed close",
+            "close",
+            Mode.IK,
+            Above("can", 0.0),
+            width=0.0,
+            gate=True,
+            done=Grasped("can"),
+            hold=0.1,
+            timeout=0.8,
+            failure="missed close",
             track_until=Touched("can"),
         ),
         Phase(
-            "lift", Mode.GLOBAL, Raised("can", 0.15), width=0.0,
-            done=All((Lifted("can", 0.10), Grasped("can"))), hold=0.25, timeout=2.5, failure="slipped",
+            "lift",
+            Mode.GLOBAL,
+            Raised("can", 0.15),
+            width=0.0,
+            done=All((Lifted("can", 0.10), Grasped("can"))),
+            hold=0.25,
+            timeout=2.5,
+            failure="slipped",
         ),
     ),
     impossible=(("dropped", Fallen("can")), ("lost track", Departed("can", 0.75))),
-    # Along the heading: the limited arm trails a can at 1 m/s by 15 cm. Upward: the hover height and as much again.
-    # Across: the can's half length. Rolling or pitching the hand would only press a finger onto the can.
+    # Along the heading: the arm, within its limits, trails a can at 1 m/s by 15 cm. Upward: twice the hover height.
+    # Across: half the can's length. Rolling or pitching the hand would only press a finger onto the can.
     residual=ResidualSpec(translation=(0.15, 0.06, 0.15), rotation=(0.0, 0.0, 0.15)),
-)  # fmt: skip
+)

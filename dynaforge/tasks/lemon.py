@@ -15,40 +15,46 @@ from dynaforge.tasks.predicates import All, Around, Fallen, Grasped, Narrowed, N
 from dynaforge.tasks.targets import Catching
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
-RADIUS = 0.025  # of the spheres on which it rolls, metres
-FLAT = 0.35  # from the foot of the ramp to the edge, metres
+RADIUS = 0.025  # radius of the spheres on which it rolls, metres
+FLAT = 0.35  # distance from the foot of the ramp to the edge, metres
 SLOPE = math.radians(8.0)
-RESISTANCE = 0.8 * 2e-4 / RADIUS  # rolling resistance over weight: Bullet's combined torque arm over the radius
+RESISTANCE = 0.8 * 2e-4 / RADIUS  # rolling resistance over weight: Bullet's combined friction length over the radius
 GRAVITY = 9.81
-ROLLING = 5 / 7  # share of the weight's pull that speeds up a ball that rolls without slip
-FOOT = 0.996  # share of its speed that the turn onto the flat leaves, measured in physics
+ROLLING = 5 / 7  # share of gravity's pull that accelerates a ball rolling without slip
+FOOT = 0.996  # share of its speed left after the turn onto the flat, measured in simulation
 
 CONDITIONS = ConditionSpace(
     task="lemon",
     difficulty="speed",
     ranges={
-        # At the edge, m/s: from a lemon that tips over it to one that flies 12 cm before it has fallen 3 cm.
+        # Speed at the edge, m/s: from a lemon that tips over it to one that flies 12 cm while it falls 3 cm.
         "speed": (0.3, 1.5),
-        # Of the lemon's line from the middle of the ledge, metres: the ledge is 16 cm wide.
+        # Offset of the lemon's line from the middle of the ledge, which is 16 cm wide, metres.
         "offset": (-0.03, 0.03),
-        # Of the middle of the edge, and how the ledge is turned: the hand in front of it stays in reach.
+        # Position of the middle of the edge, and yaw of the ledge: the hand in front of it stays within reach.
         "edge_x": (0.70, 0.76),
         "edge_y": (-0.06, 0.06),
         "edge_z": (0.30, 0.34),
         "yaw": (-0.10, 0.10),
-        # A small to a large lemon, kg.
+        # From a small to a large lemon, kg.
         "mass": (0.06, 0.15),
     },
     units={
-        "speed": "m/s", "offset": "m", "edge_x": "m", "edge_y": "m", "edge_z": "m", "yaw": "rad", "mass": "kg",
+        "speed": "m/s",
+        "offset": "m",
+        "edge_x": "m",
+        "edge_y": "m",
+        "edge_z": "m",
+        "yaw": "rad",
+        "mass": "kg",
     },
-)  # fmt: skip
+)
 
 
 def run_up(speed: float) -> float:
-    """Metres along the ramp from which a lemon released at rest passes the edge at `speed` m/s.
+    """Return the distance up the ramp from which a lemon released at rest passes the edge at `speed` m/s, metres.
 
-    Within 1 % of it in physics, and within 5 % below 0.4 m/s.
+    In simulation the speed is within 1 % of it, and within 5 % below 0.4 m/s.
     """
     drag = ROLLING * GRAVITY * RESISTANCE
     pull = ROLLING * GRAVITY * math.sin(SLOPE) - drag * math.cos(SLOPE)
@@ -68,9 +74,9 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 
 CATCH = Catching("lemon", "ledge", ahead=0.05, height=0.005, pitch=math.radians(30.0))
-BACK = Catching("lemon", "ledge", ahead=0.10, height=0.005, pitch=math.radians(30.0))
-# Narrower than 45 mm, the fingers pinch its near end only: it would slip out, were it not wedged against the edge.
-HELD = All((Grasped("lemon"), Around("lemon", 0.025), Narrowed(0.065), Not(Narrowed(0.045))))
+BACKED_OFF = Catching("lemon", "ledge", ahead=0.10, height=0.005, pitch=math.radians(30.0))
+# Below 45 mm the fingers pinch only the lemon's near end, and it would slip out if the edge did not wedge it in.
+CAUGHT = All((Grasped("lemon"), Around("lemon", 0.025), Narrowed(0.065), Not(Narrowed(0.045))))
 
 TASK = Task(
     name="lemon",
@@ -88,23 +94,49 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "approach", Mode.GLOBAL, CATCH, width=0.066,
-            done=Reached(0.03), timeout=1.5, failure="not reached",
+            "approach",
+            Mode.GLOBAL,
+            CATCH,
+            width=0.066,
+            done=Reached(0.03),
+            timeout=1.5,
+            failure="not reached",
         ),
         Phase(
-            "wait", Mode.IK, CATCH, width=0.066, gate=True,
-            done=Around("lemon", 0.12), timeout=2.5, failure="never came",
+            "wait",
+            Mode.IK,
+            CATCH,
+            width=0.066,
+            gate=True,
+            done=Around("lemon", 0.12),
+            timeout=2.5,
+            failure="never came",
         ),
         Phase(
-            "close", Mode.IK, CATCH, width=0.0, gate=True,
-            done=HELD, hold=0.1, timeout=0.8, failure="missed catch", track_until=Touched("lemon"),
+            "close",
+            Mode.IK,
+            CATCH,
+            width=0.0,
+            gate=True,
+            done=CAUGHT,
+            hold=0.1,
+            timeout=0.8,
+            failure="missed catch",
+            track_until=Touched("lemon"),
         ),
         Phase(
-            "hold", Mode.IK, BACK, width=0.0,
-            done=HELD, hold=0.5, timeout=0.8, failure="slipped", track_until=Touched("lemon"),
+            "hold",
+            Mode.IK,
+            BACKED_OFF,
+            width=0.0,
+            done=CAUGHT,
+            hold=0.5,
+            timeout=0.8,
+            failure="slipped",
+            track_until=Touched("lemon"),
         ),
     ),
     impossible=(("dropped", OnTable("lemon")), ("dropped", Fallen("lemon"))),
     residual=ResidualSpec(translation=(0.05, 0.03, 0.05), rotation=(0.0, 0.25, 0.0), width=0.04, decision_steps=1),
     camera=((0.35, -1.35, 0.75), (0.75, 0.0, 0.30)),
-)  # fmt: skip
+)

@@ -27,37 +27,43 @@ from dynaforge.tasks.task import ResidualSpec, Task
 
 LENGTH = 0.09
 TIP = (0.0, 0.0, -LENGTH / 2)
-RACK_FLOOR = 0.006  # the peg stands so high above the table, metres
-DEPTH = 0.045  # of the hole; its frame is the middle of its floor
+RACK_FLOOR = 0.006  # height of the peg's lower end above the table at the start, metres
+DEPTH = 0.045  # depth of the hole, metres; its frame is in the middle of its floor
 HOLES = ("peg/hole_10.urdf", "peg/hole_15.urdf", "peg/hole_20.urdf")
-ARM = 0.08  # from the axis to the hole, metres
-GRIP = 0.018  # of the hand above the middle of the peg, metres: the palm keeps clear of its end
+ARM = 0.08  # distance from the axis to the hole, metres
+GRIP = 0.018  # height of the hand above the middle of the peg, metres: the palm keeps clear of its end
 
 CONDITIONS = ConditionSpace(
     task="peg",
     difficulty="speed",
     ranges={
-        # Of the hole on its circle: near static up to that of a rotary assembly table. Up to 0.06 m/s, the first
-        # choice, the planner alone won 88 % (n = 48), which left a residual little to learn.
+        # Speed of the hole on its circle: nearly static up to that of a rotary assembly table. With the first choice,
+        # up to 0.06 m/s, planner-only success was 88 % (n = 48), which left a residual little to learn.
         "speed": (0.01, 0.15),
-        # Where on its circle it starts; by its sign it turns left or right.
+        # Where on its circle the hole starts; the sign is the direction in which it turns.
         "phase": (-math.pi, math.pi),
-        # Which of the three holes: 1.0, 1.5, 2.0 mm of clearance all round.
+        # Which of the three holes, with 1.0, 1.5 and 2.0 mm of clearance all round.
         "hole": (0.0, 3.0),
-        # The rack stands to the right or to the left by its sign, the hole on the other side.
+        # The sign is the side of the rack, right or left; the hole is on the other side.
         "side": (-1.0, 1.0),
-        # The middle of the reach, apart from the hole by its circle and a hand's breadth.
+        # In the middle of the reach; rack and hole are apart by the circle of the hole and the width of a hand.
         "rack_x": (0.42, 0.52),
         "rack_y": (0.12, 0.17),
         "hole_x": (0.43, 0.48),
         "hole_y": (0.10, 0.14),
-        # Hard wood to aluminium, kg.
+        # From hardwood to aluminium, kg.
         "mass": (0.03, 0.08),
     },
     units={
-        "speed": "m/s", "phase": "rad", "rack_x": "m", "rack_y": "m", "hole_x": "m", "hole_y": "m", "mass": "kg",
+        "speed": "m/s",
+        "phase": "rad",
+        "rack_x": "m",
+        "rack_y": "m",
+        "hole_x": "m",
+        "hole_y": "m",
+        "mass": "kg",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
@@ -75,10 +81,11 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
     }
 
 
-# The wall keeps the lower end of a peg so deep inside the hole; a peg that lies below the hole is not upright.
+# So deep inside, the wall keeps the peg's lower end near the axis; a peg that lies below the hole is not upright.
 INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, tool=TIP), Upright("peg", 0.3)))
 IN_HAND = (("slipped", Not(Around("peg", GRIP + 0.02))), ("slipped", Not(Upright("peg", 0.5))))
-HOVER, ENTERED, INSERTED = DEPTH + 0.010, DEPTH - 0.010, 0.25 * DEPTH  # of the lower end above the hole's floor, metres
+# Heights of the lower end above the hole's floor, metres.
+HOVER, ENTERED, INSERTED = DEPTH + 0.010, DEPTH - 0.010, 0.25 * DEPTH
 
 TASK = Task(
     name="peg",
@@ -101,13 +108,19 @@ TASK = Task(
     phases=(
         *rack_pick_phases("peg", grip=GRIP, precision=0.003, lift=0.095, clear=0.075),
         *insertion_phases(
-            "peg", "hole", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.008,
-            entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP), inside=INSIDE, fails=IN_HAND,
+            "peg",
+            "hole",
+            TIP,
+            heights=(HOVER, ENTERED, INSERTED),
+            precision=0.008,
+            entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP),
+            inside=INSIDE,
+            fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("peg")), ("dropped", OnTable("peg"))),
-    # Along the hole's way: the hand trails it by 6 mm at 0.15 m/s, and by as much again while it goes down. More would
-    # only drown the millimetres that decide.
+    # Along the hole's path: the hand trails it by 6 mm at 0.15 m/s, and by as much again while it goes down. Larger
+    # scales would only drown the millimetres that decide.
     residual=ResidualSpec(translation=(0.012, 0.012, 0.012), rotation=(0.05, 0.05, 0.0), width=0.0),
     camera=((1.15, -0.3, 0.6), (0.4, 0.0, 0.12)),
-)  # fmt: skip
+)

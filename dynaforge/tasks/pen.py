@@ -27,39 +27,45 @@ from dynaforge.tasks.task import ResidualSpec, Task
 
 LENGTH = 0.14
 TIP = (0.0, 0.0, -LENGTH / 2)
-RACK_FLOOR = 0.006  # the pen's tip stands so high above the table, metres
-DEPTH = 0.08  # of the holder; its frame is the middle of its floor
+RACK_FLOOR = 0.006  # height of the pen's tip above the table at the start, metres
+DEPTH = 0.08  # depth of the holder, metres; its frame is in the middle of its floor
 HOLDERS = ("pen/holder_14.urdf", "pen/holder_16.urdf", "pen/holder_18.urdf", "pen/holder_20.urdf")
-ARM, SWING = 0.08, 0.08  # of the holder's carrier, metres
-GRIP = 0.042  # of the hand above the middle of the pen, metres: the palm keeps clear of its end
+ARM, SWING = 0.08, 0.08  # arm and amplitude of the holder's carrier, metres
+GRIP = 0.042  # height of the hand above the middle of the pen, metres: the palm keeps clear of its end
 
 CONDITIONS = ConditionSpace(
     task="pen",
     difficulty="speed",
     ranges={
-        # Peak speed of the holder: near static up to that of a brisk conveyor.
+        # Peak speed of the holder: nearly static up to that of a fast conveyor.
         "speed": (0.02, 0.3),
-        # Below zero it slides to and fro, else it turns.
+        # Below zero the holder slides back and forth, otherwise it turns.
         "motion": (-1.0, 1.0),
         "phase": (-math.pi, math.pi),
         "yaw": (-math.pi / 2, math.pi / 2),
-        # Which of the four holders: 14, 16, 18, 20 mm inner radius.
+        # Which of the four holders, with inner radii of 14, 16, 18 and 20 mm.
         "holder": (0.0, 4.0),
-        # The rack stands to the right or to the left by its sign, the holder on the other side.
+        # The sign is the side of the rack, right or left; the holder is on the other side.
         "side": (-1.0, 1.0),
-        # The middle of the reach, apart from the holder by its swing and a hand's breadth.
+        # In the middle of the reach; rack and holder are apart by the holder's amplitude and the width of a hand.
         "rack_x": (0.42, 0.52),
         "rack_y": (0.12, 0.17),
         "holder_x": (0.43, 0.48),
         "holder_y": (0.10, 0.14),
-        # A plastic to a metal pen, kg.
+        # From a plastic to a metal pen, kg.
         "mass": (0.03, 0.06),
     },
     units={
-        "speed": "m/s", "phase": "rad", "yaw": "rad", "rack_x": "m", "rack_y": "m", "holder_x": "m", "holder_y": "m",
+        "speed": "m/s",
+        "phase": "rad",
+        "yaw": "rad",
+        "rack_x": "m",
+        "rack_y": "m",
+        "holder_x": "m",
+        "holder_y": "m",
         "mass": "kg",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
@@ -79,14 +85,15 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
     }
 
 
-# The wall keeps a tip so deep inside the holder; a pen that lies below the holder is not upright.
+# So deep inside, the wall keeps the pen's tip near the axis; a pen that lies below the holder is not upright.
 INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, tool=TIP), Upright("pen", 0.5)))
 IN_HAND = (
     ("slipped", Not(Around("pen", GRIP + 0.02))),
     ("slipped", Not(Upright("pen", 0.5))),
     ("pushed back", Around("pen", GRIP - 0.025)),  # by the rim, into the hand
 )
-HOVER, ENTERED, INSERTED = DEPTH + 0.015, DEPTH - 0.02, 0.25 * DEPTH  # of the tip above the holder's floor, metres
+# Heights of the tip above the holder's floor, metres.
+HOVER, ENTERED, INSERTED = DEPTH + 0.015, DEPTH - 0.02, 0.25 * DEPTH
 
 TASK = Task(
     name="pen",
@@ -103,19 +110,25 @@ TASK = Task(
             FixtureSpec("holder", HOLDERS, "holder", driven=DRIVEN, lateral_friction=0.4),
         ),
         launch=launch,
-        physics_dt=1 / 480,  # at 1/240 s a hand that misses pushes the light pen 9 mm into the rim, at this 1.5 mm
+        physics_dt=1 / 480,  # a hand that misses pushes the light pen 1.5 mm into the rim, at 1/240 s 9 mm
     ),
     conditions=CONDITIONS,
     phases=(
         *rack_pick_phases("pen", grip=GRIP, precision=0.006, lift=0.12, clear=0.10),
         *insertion_phases(
-            "pen", "holder", TIP, heights=(HOVER, ENTERED, INSERTED), precision=0.012,
-            entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP), inside=INSIDE, fails=IN_HAND,
+            "pen",
+            "holder",
+            TIP,
+            heights=(HOVER, ENTERED, INSERTED),
+            precision=0.012,
+            entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP),
+            inside=INSIDE,
+            fails=IN_HAND,
         ),
     ),
     impossible=(("dropped", Fallen("pen")), ("dropped", OnTable("pen"))),
-    # Along the holder's way: the hand trails it by 12 mm at 0.3 m/s, and by as much again while it goes down. Turning
+    # Along the holder's path: the hand trails it by 12 mm at 0.3 m/s, and by as much again while it goes down. Turning
     # the pen about its axis changes nothing.
     residual=ResidualSpec(translation=(0.03, 0.02, 0.02), rotation=(0.1, 0.1, 0.0), width=0.0),
     camera=((1.15, -0.3, 0.6), (0.4, 0.0, 0.12)),
-)  # fmt: skip
+)

@@ -15,39 +15,45 @@ from dynaforge.tasks.targets import Above, Downstream, Grip, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 HEIGHT = 0.026
-"""Of the car's origin above the table, metres."""
+"""Height of the car's origin above the table, metres."""
 WHEEL_RADIUS = 0.016
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 REACH = 0.60
 HOVER = 0.06
 OPEN = 0.072
-"""Between the fingers that straddle a body of 56 mm: as much to spare as a can has in a hand that is wide open."""
-# Less than a can's: on wheels of 16 mm, 2e-4 would stop a slow car before it gets to the hand. It keeps straight still.
+"""Opening of the fingers around the body of 56 mm, metres: as much room as a can has in a fully open hand."""
+# Less than a can's: on wheels of 16 mm, 2e-4 would stop a slow car before it reaches the hand. The car still goes
+# straight.
 ROLLING_FRICTION = 5e-5
 
 CONDITIONS = ConditionSpace(
     task="toycar",
     difficulty="speed",
     ranges={
-        # From almost standing still to what the hand can keep up with. Fingers at a car's sides do not stand in its
-        # way as they do in a can's: the hand must get to its speed, and at 1 m/s that and closing take half the reach.
+        # Nearly static up to what the hand can keep up with. Fingers at the sides of a car do not block its way, as
+        # they do a can's: the hand must reach the car's speed, and at 1 m/s that and closing take half the reach.
         "speed": (0.05, 1.0),
-        # From the right or from the left, by its sign.
+        # The sign is the side it comes from: right or left.
         "side": (-1.0, 1.0),
         # Up to 20 degrees off the straight line across the workspace.
         "heading": (-0.35, 0.35),
-        # Where its line crosses the plane ahead of the robot: x, the middle of the reach; y, the offset along the line.
+        # A point on its line in front of the robot: x in the middle of the reach; y, the offset along the line.
         "cross_x": (0.42, 0.55),
         "cross_y": (-0.05, 0.05),
-        # Seconds at launch speed until it enters the reach: the arm needs 0.7 s to get there, and 0.2 s to set off.
+        # Seconds, at launch speed, until it enters the reach: the arm needs 0.7 s to get there, after 0.2 s to start.
         "lead": (0.9, 1.3),
-        # Of the body without its wheels, from plastic to die-cast metal, kg.
+        # Mass of the body without its wheels, from plastic to die-cast metal, kg.
         "mass": (0.1, 0.3),
     },
     units={
-        "speed": "m/s", "heading": "rad", "cross_x": "m", "cross_y": "m", "lead": "s", "mass": "kg",
+        "speed": "m/s",
+        "heading": "rad",
+        "cross_x": "m",
+        "cross_y": "m",
+        "lead": "s",
+        "mass": "kg",
     },
-)  # fmt: skip
+)
 
 
 def launch(condition: Condition) -> Mapping[str, Launch]:
@@ -72,32 +78,62 @@ TASK = Task(
     conditions=CONDITIONS,
     phases=(
         Phase(
-            "pregrasp", Mode.GLOBAL, Downstream("toycar", HOVER, reach=REACH, clearance=0.08, grip=Grip.ACROSS),
-            width=OPEN, done=All((Reached(0.03), Near("toycar", 0.30))), timeout=3.0, failure="not reached",
+            "pregrasp",
+            Mode.GLOBAL,
+            Downstream("toycar", HOVER, reach=REACH, clearance=0.08, grip=Grip.ACROSS),
+            width=OPEN,
+            done=All((Reached(0.03), Near("toycar", 0.30))),
+            timeout=3.0,
+            failure="not reached",
         ),
-        # The fingers have 8 mm to spare on each side; 42 mm from the car's middle the whole pad is still on its body.
-        # One finger at its side cannot push it along its way, so the hand follows until both hold it.
+        # The fingers have 8 mm of room on each side; 42 mm from the car's middle the whole pad is still on its body.
+        # One finger at the side cannot push the car along its way, so the hand follows it until both fingers grip.
         Phase(
-            "track", Mode.IK, Above("toycar", HOVER, Grip.ACROSS), width=OPEN, gate=True,
-            done=Aligned("toycar", 0.042, 0.008), timeout=2.0, failure="lost track",
+            "track",
+            Mode.IK,
+            Above("toycar", HOVER, Grip.ACROSS),
+            width=OPEN,
+            gate=True,
+            done=Aligned("toycar", 0.042, 0.008),
+            timeout=2.0,
+            failure="lost track",
         ),
         Phase(
-            "descend", Mode.IK, Above("toycar", 0.0, Grip.ACROSS), width=OPEN, gate=True,
-            done=Aligned("toycar", 0.050, 0.010, height=0.012), timeout=1.0, failure="missed descent",
+            "descend",
+            Mode.IK,
+            Above("toycar", 0.0, Grip.ACROSS),
+            width=OPEN,
+            gate=True,
+            done=Aligned("toycar", 0.050, 0.010, height=0.012),
+            timeout=1.0,
+            failure="missed descent",
             track_until=Grasped("toycar"),
         ),
         Phase(
-            "close", Mode.IK, Above("toycar", 0.0, Grip.ACROSS), width=0.0, gate=True,
-            done=Grasped("toycar"), hold=0.1, timeout=0.8, failure="missed close",
+            "close",
+            Mode.IK,
+            Above("toycar", 0.0, Grip.ACROSS),
+            width=0.0,
+            gate=True,
+            done=Grasped("toycar"),
+            hold=0.1,
+            timeout=0.8,
+            failure="missed close",
             track_until=Grasped("toycar"),
         ),
         Phase(
-            "lift", Mode.GLOBAL, Raised("toycar", 0.15), width=0.0,
-            done=All((Lifted("toycar", 0.10), Grasped("toycar"))), hold=0.25, timeout=2.5, failure="slipped",
+            "lift",
+            Mode.GLOBAL,
+            Raised("toycar", 0.15),
+            width=0.0,
+            done=All((Lifted("toycar", 0.10), Grasped("toycar"))),
+            hold=0.25,
+            timeout=2.5,
+            failure="slipped",
         ),
     ),
     impossible=(("dropped", Fallen("toycar")), ("lost track", Departed("toycar", 0.75))),
-    # Along the heading: the limited arm trails a car at 1 m/s by 15 cm. Across: twice the fingers' room. Upward: the
-    # hover height and half as much again. Width: the whole opening, or a hand that closes in 40 ms.
+    # Along the heading: the arm, within its limits, trails a car at 1 m/s by 15 cm. Across: twice the fingers'
+    # room. Upward: one and a half times the hover height. Width: enough to open the hand fully.
     residual=ResidualSpec(translation=(0.15, 0.015, 0.09), rotation=(0.0, 0.0, 0.10), width=0.01),
-)  # fmt: skip
+)
