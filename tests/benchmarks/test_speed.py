@@ -21,7 +21,7 @@ def test_resets_are_timed_and_a_slow_one_misses_the_figure(monkeypatch):
     (figure,) = bench_speed.scene_reset(CAN, rounds=2, n=4)
     assert [len(values) for values in figure.raw["cpu_seconds"]] == [4, 4]
     assert all(value > 0 for values in figure.raw["cpu_seconds"] for value in values)
-    monkeypatch.setattr(bench_speed, "RESET_LIMIT", 1e-6)
+    monkeypatch.setattr(bench_speed, "MAX_RESET_SECONDS", 1e-6)
     assert not bench_speed.scene_reset(CAN, rounds=1, n=1)[0].ok
 
 

@@ -20,7 +20,9 @@ def test_what_vectorising_wastes_is_what_the_overhead_says(monkeypatch):
         return step(env, actions)
 
     monkeypatch.setattr(SharedMemoryVecEnv, "step", wasteful)
-    overheads, gains = bench_vector.compare(lambda: BusyLoopEnv(1e-4), "test", 2, 2, 1, 10)
+    overheads, gains = bench_vector.overhead_and_gain(
+        lambda: BusyLoopEnv(1e-4), "test", rounds=2, n_envs=2, n_workers=1, n_steps=10
+    )
     assert len(overheads) == len(gains) == 2
     assert all(1e-3 <= value < 2e-3 for value in overheads)  # 2 ms a step of two envs, and its own cost
     assert all(value > 0.0 for value in gains)
