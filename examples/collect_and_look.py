@@ -1,6 +1,6 @@
-"""Collect demonstrations with the shipped policy, and look at what they hold.
+"""Collect demonstrations with the shipped policy, and look at what they contain.
 
-python examples/collect_and_look.py --task can --demos 20 --out data/can      # interrupted, it goes on
+python examples/collect_and_look.py --task can --demos 20 --out data/can      # the same command resumes
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main() -> None:
     dataset = DemonstrationDataset(options.out, task=task.name)
     collect(dataset, task, generator, Goal(options.demos, attempts=None), workers=options.workers)
 
-    # The ledger holds every attempt, so the success rate is honest.
+    # The ledger lists every attempt, failed ones too, so the rate is an honest one.
     reasons = Counter(attempt.failure or "success" for attempt in dataset.attempts())
     print(f"{len(dataset)} demonstrations, {dataset.dgr():.0%} of all attempts: {dict(reasons)}")
     body = task.scene.bodies[0].name

@@ -1,6 +1,6 @@
 """Compare FrontierGRPO with PPO at equal environment steps, and draw the figures as PNG files.
 
-python examples/compare_with_ppo.py --task can                    # six runs, one per core; interrupted, it resumes
+python examples/compare_with_ppo.py --task can                    # six runs, one per core; the same command resumes
 python examples/compare_with_ppo.py --task toycar --algos ppo grpo frontier_grpo --runs results/compare --report-only
 """
 

@@ -1,6 +1,6 @@
 """A task of your own in one file: tap a peach that rolls by. docs/add_a_task.md explains each part.
 
-python examples/task_of_your_own.py                                  # how often does the planner alone win?
+python examples/task_of_your_own.py                                  # does the planner succeed by itself?
 dynaforge forge --task examples/task_of_your_own.py --budget 5m      # every command takes the file
 """
 

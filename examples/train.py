@@ -26,7 +26,7 @@ from dynaforge import (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="can", help="one of the nine tasks")
-    parser.add_argument("--steps", type=int, default=50_000, help="environment steps; the last update is finished")
+    parser.add_argument("--steps", type=int, default=50_000, help="environment steps; the update under way is finished")
     parser.add_argument("--groups", type=int, default=16, help="conditions per update, one of each stratum")
     parser.add_argument("--envs", type=int, default=32)
     parser.add_argument("--attempts", type=int, default=60, help="conditions to measure on")
@@ -46,10 +46,10 @@ def main() -> None:
     policy.save(options.out)
     print(f"policy {options.out}")
     for generator in (PlannerOnly(), ResidualGenerator(policy)):
-        # The same conditions for both, which neither has seen.
+        # The same conditions for both; training never uses those of this stream.
         conditions = islice(task.conditions.stream("val"), options.attempts)
-        wins = [result.attempt.success for result in run_attempts(task, generator, conditions)]
-        print(f"{generator.name}: {sum(wins)} of {len(wins)} conditions won")
+        successes = [result.attempt.success for result in run_attempts(task, generator, conditions)]
+        print(f"{generator.name}: success on {sum(successes)} of {len(successes)} conditions")
 
 
 if __name__ == "__main__":  # worker processes import this file

@@ -15,21 +15,22 @@ from torch import nn
 
 from dynaforge import DemonstrationDataset, ObservationFolder, Pack, read_frames
 
-AHEAD, TAKEN, WEIGHTS = 16, 8, "runs/imitator.safetensors"  # actions predicted, and taken before it looks again
+WEIGHTS = Path("runs/imitator.safetensors")
+PREDICTED, EXECUTED = 16, 8  # actions at a time, each of 9 numbers
 
 
 class Imitator(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.encoder = nn.Sequential(nn.Linear(3, 64), nn.ReLU(), nn.Linear(64, 128))
-        self.head = nn.Sequential(nn.Linear(2 * 128 + 15, 256), nn.ReLU(), nn.Linear(256, AHEAD * 9))
+        self.head = nn.Sequential(nn.Linear(2 * 128 + 15, 256), nn.ReLU(), nn.Linear(256, PREDICTED * 9))
 
     def predict(self, clouds: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        """Map two clouds, which show how things move, and the robot's state to actions, shape (..., AHEAD, 9)."""
-        seen = self.encoder(clouds).amax(dim=-2).flatten(-2)  # the order of the points does not matter
-        return self.head(torch.cat((seen, state), dim=-1)).unflatten(-1, (AHEAD, 9))
+        """Map two clouds, which show how things move, and the robot's state to the next actions."""
+        features = self.encoder(clouds).amax(dim=-2).flatten(-2)  # the order of the points does not matter
+        return self.head(torch.cat((features, state), dim=-1)).unflatten(-1, (PREDICTED, 9))
 
-    def reset(self) -> None:
+    def reset(self) -> None:  # before each episode
         self.clouds, self.planned = [], []
 
     @torch.no_grad()
@@ -37,7 +38,7 @@ class Imitator(nn.Module):
         self.clouds = [*self.clouds, observation["points"]][-2:]
         if not self.planned:
             clouds = torch.tensor(np.stack((self.clouds[0], self.clouds[-1])))
-            self.planned = list(self.predict(clouds, torch.tensor(observation["state"])).numpy()[:TAKEN])
+            self.planned = list(self.predict(clouds, torch.tensor(observation["state"])).numpy()[:EXECUTED])
         return self.planned.pop(0)
 
 
@@ -60,7 +61,7 @@ if __name__ == "__main__":
         frames = rng.integers(len(pack), size=64)
         clouds, state, actions = (
             torch.tensor(np.stack([pack.window(name, k, before=before, after=after) for k in frames])).float()
-            for name, before, after in (("points", 1, 0), ("state", 0, 0), ("action", 0, AHEAD - 1))
+            for name, before, after in (("points", 1, 0), ("state", 0, 0), ("action", 0, PREDICTED - 1))
         )
         loss = (policy.predict(clouds, state[:, 0]) - actions).abs().mean()
         optimizer.zero_grad()
@@ -68,5 +69,5 @@ if __name__ == "__main__":
         optimizer.step()
         if update % 100 == 0:
             print(f"update {update}: mean error {loss.item():.4f}", flush=True)
-    Path(WEIGHTS).parent.mkdir(exist_ok=True)
+    WEIGHTS.parent.mkdir(exist_ok=True)
     save_model(policy, WEIGHTS)

@@ -20,7 +20,7 @@ from dynaforge.reports.film import film
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="can", help="a task's name or file")
-    parser.add_argument("--policy", type=Path, help="a residual policy, shown to the right of the planner alone")
+    parser.add_argument("--policy", type=Path, help="a residual policy, shown to the right of the planner")
     parser.add_argument("--conditions", type=int, default=3, help="how many, from easy to hard")
     parser.add_argument("--film", type=Path, help="write a GIF here; needs the extra [report]")
     options = parser.parse_args()
@@ -31,18 +31,18 @@ def main() -> None:
         generators.append(ResidualGenerator(MlpPolicyFile.load(options.policy, task=task)))
     env = ResidualEnv(task, render_mode="rgb_array")
     frames: list[np.ndarray] = []
-    # One condition from each of n equal parts of the range of difficulty.
+    # One condition of each stratum, that is, of n equal parts of the difficulty range.
     for condition in islice(task.conditions.stream("val", n_strata=options.conditions), options.conditions):
         print(f"{task.conditions.difficulty} {condition.difficulty:.2f}:")
         shots = []
         for generator in generators:
             episode = generator.attempt(env, condition)
             print(f"  {generator.name}: {'success' if episode.success else episode.failure}")
-            if options.film:  # the same condition again, the same episode to the bit
+            if options.film:  # the same condition again gives the same episode, bit for bit
                 shots.append(film(env, generator, condition, every=3)[1])
         if not shots:
             continue
-        length = max(map(len, shots)) + 6  # the last picture stays for a moment
+        length = max(map(len, shots)) + 6  # the last picture stays for 0.6 s
         frames += [np.hstack([side[min(k, len(side) - 1)] for side in shots]) for k in range(length)]
     env.close()
     if options.film:

@@ -1,11 +1,11 @@
 """Learn a small network from demonstrations, and measure it in the task's env.
 
     dynaforge collect --task can --demos 200
-    python examples/small_imitator.py data/can
-    dynaforge evaluate --task can --learner examples/small_imitator.py:load --seeds 1 --attempts 60
+    python results/small_imitator.py data/can
+    dynaforge evaluate --task can --learner results/small_imitator.py:load --seeds 1 --attempts 60
 
-The network sees one control step and answers with the joint targets of the next 16, of which 4 are taken before it
-looks again: one step at a time it would copy how slowly the hand moves and never begin.
+The network maps one control step to the joint targets of the next 16, of which 4 are executed before it is asked
+again. If it predicted one step at a time, it would copy how slowly the hand starts to move, and never start.
 """
 
 from __future__ import annotations
@@ -22,24 +22,23 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import trange
 
-from dynaforge.demos import DemonstrationDataset
-from dynaforge.demos.exporters import read_frames
-from dynaforge.tasks.action import ActionLayout
+from dynaforge import ActionLayout, DemonstrationDataset, read_frames
 
-AHEAD, TAKEN = 16, 4  # control steps answered, and taken before the next look
+PREDICTED, EXECUTED = 16, 4  # control steps
 HIDDEN = 512
 WEIGHTS = Path("runs/small-imitator")
 
 
-def inputs(observation: Mapping[str, NDArray[np.float32]], step: float) -> NDArray[np.float32]:
-    """What the network sees: robot, objects, how far the hand is from each of them, and the time."""
+def network_input(observation: Mapping[str, NDArray[np.float32]], step: float) -> NDArray[np.float32]:
+    """Return what the network sees: robot, objects, where each of them is from the hand, and the time."""
     hand = observation["ee_position"]
-    apart = [value - hand for name, value in sorted(observation.items()) if name.endswith("_position")]
-    return np.concatenate([observation["state"], observation["dq"], observation["object_state"], *apart, [step / 100]])
+    offsets = [value - hand for name, value in sorted(observation.items()) if name.endswith("_position")]
+    measured = [observation[name] for name in ("state", "dq", "object_state")]
+    return np.concatenate([*measured, *offsets, [step / 100]])
 
 
 def network(n_inputs: int, n_outputs: int) -> nn.Sequential:
-    """Three hidden layers; inputs and outputs are brought to unit size by its first and last layers."""
+    """Make three hidden layers between two fixed ones, which scale inputs and outputs."""
     hidden = [layer for _ in range(2) for layer in (nn.Linear(HIDDEN, HIDDEN), nn.SiLU())]
     scale_in, scale_out = nn.Linear(n_inputs, n_inputs), nn.Linear(n_outputs, n_outputs)
     for fixed in (scale_in, scale_out):
@@ -50,36 +49,36 @@ def network(n_inputs: int, n_outputs: int) -> nn.Sequential:
 
 
 def samples(folder: Path) -> tuple[th.Tensor, th.Tensor]:
-    """Every control step of every success: what is seen, and where the joints go from where they are."""
-    seen, asked = [], []
+    """Return inputs and outputs of every control step: what is seen, and where the joints go from where they are."""
+    inputs, outputs = [], []
     for frames in read_frames(DemonstrationDataset(folder), fps=30, actions="joint"):
         columns = frames.robot | frames.objects | {"state": frames.state, "object_state": frames.object_state}
         for k in range(len(frames)):
-            seen.append(inputs({name: column[k] for name, column in columns.items()}, k))
-            chunk = frames.actions[np.minimum(np.arange(k, k + AHEAD), len(frames) - 1)].copy()
+            inputs.append(network_input({name: column[k] for name, column in columns.items()}, k))
+            chunk = frames.actions[np.minimum(np.arange(k, k + PREDICTED), len(frames) - 1)].copy()
             chunk[:, :7] -= frames.robot["q"][k]
-            asked.append(chunk.ravel())
-    return th.tensor(np.array(seen), dtype=th.float32), th.tensor(np.array(asked), dtype=th.float32)
+            outputs.append(chunk.ravel())
+    return th.tensor(np.array(inputs), dtype=th.float32), th.tensor(np.array(outputs), dtype=th.float32)
 
 
 def train(folder: Path, updates: int, seed: int) -> nn.Module:
-    """Regress, and keep the moving average of the weights."""
+    """Fit the network to the demonstrations, and return the moving average of its weights."""
     th.set_num_threads(1)
     th.manual_seed(seed)
-    seen, asked = samples(folder)
-    net = network(seen.shape[1], asked.shape[1])
+    inputs, outputs = samples(folder)
+    net = network(inputs.shape[1], outputs.shape[1])
     with th.no_grad():
-        for layer, data, inverse in ((net[0], seen, True), (net[-1], asked, False)):
-            size, middle = data.std(0) + 1e-3, data.mean(0)
-            layer.weight.copy_(th.diag(1 / size if inverse else size))
-            layer.bias.copy_(-middle / size if inverse else middle)
+        for layer, data, inverse in ((net[0], inputs, True), (net[-1], outputs, False)):
+            std, mean = data.std(0) + 1e-3, data.mean(0)
+            layer.weight.copy_(th.diag(1 / std if inverse else std))
+            layer.bias.copy_(-mean / std if inverse else mean)
     optimizer = th.optim.AdamW([p for p in net.parameters() if p.requires_grad], lr=2e-3, weight_decay=1e-4)
     schedule = th.optim.lr_scheduler.OneCycleLR(optimizer, 2e-3, updates)
     average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(0.995))
-    size = asked.std(0) + 1e-3
+    std = outputs.std(0) + 1e-3
     for _ in (bar := trange(updates)):
-        rows = th.randint(len(seen), (256,))
-        loss = (((net(seen[rows]) - asked[rows]) / size) ** 2).mean()
+        rows = th.randint(len(inputs), (256,))
+        loss = (((net(inputs[rows]) - outputs[rows]) / std) ** 2).mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -90,7 +89,7 @@ def train(folder: Path, updates: int, seed: int) -> nn.Module:
 
 
 class SmallImitator:
-    """Acts in the terms of an export with joint actions (`dynaforge.generators.learner.Learner`)."""
+    """A policy for `--learner`, in the terms of an export with joint actions."""
 
     layout = ActionLayout("joint")
 
@@ -104,11 +103,11 @@ class SmallImitator:
         self.step, self.chunk = 0, np.empty((0, 8))
 
     def __call__(self, observation: Mapping[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Return the joint targets and the width of this control step."""
+        """Return the joint targets and the width of this control step, shape (8,)."""
         if not len(self.chunk):
             with th.no_grad():
-                answer = self.net(th.tensor(inputs(observation, self.step), dtype=th.float32))
-            self.chunk = answer.numpy().reshape(AHEAD, 8)[:TAKEN]
+                predicted = self.net(th.tensor(network_input(observation, self.step), dtype=th.float32))
+            self.chunk = predicted.numpy().reshape(PREDICTED, 8)[:EXECUTED]
             self.chunk[:, :7] += observation["q"]
         self.step += 1
         action, self.chunk = self.chunk[0], self.chunk[1:]
@@ -116,13 +115,13 @@ class SmallImitator:
 
 
 def load(task: str) -> SmallImitator:
-    """Load what was trained for a task."""
+    """Load the network that was trained for a task."""
     return SmallImitator(WEIGHTS / f"{task}.safetensors")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, help="of `dynaforge collect`")
+    parser.add_argument("folder", type=Path, help="a dataset of `dynaforge collect`")
     parser.add_argument("--updates", type=int, default=6000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
