@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from dynaforge.envs.task_env import TaskEnv
     from dynaforge.generators.attempts import run_attempts
     from dynaforge.generators.bridge import ExportBridge
-    from dynaforge.generators.collecting import Goal, Source, collect
+    from dynaforge.generators.collecting import ConditionSource, Goal, collect
     from dynaforge.generators.generator import Generator, PlannerOnly, ResidualGenerator
     from dynaforge.generators.giving_up import GaveUp
     from dynaforge.generators.learner import LearnerGenerator
@@ -58,6 +58,7 @@ __all__ = [
     "Attempt",
     "BodySpec",
     "Condition",
+    "ConditionSource",
     "ConditionSpace",
     "DamagedFileError",
     "DemonstrationDataset",
@@ -88,7 +89,6 @@ __all__ = [
     "ResidualSpec",
     "SceneSpec",
     "SharedMemoryVecEnv",
-    "Source",
     "Spring",
     "Task",
     "TaskEnv",
@@ -116,7 +116,7 @@ _HOMES = {
     "dynaforge.sampling.vector_env": ("SharedMemoryVecEnv",),
     "dynaforge.generators.attempts": ("run_attempts",),
     "dynaforge.generators.bridge": ("ExportBridge",),
-    "dynaforge.generators.collecting": ("Goal", "Source", "collect"),
+    "dynaforge.generators.collecting": ("Goal", "ConditionSource", "collect"),
     "dynaforge.generators.generator": ("Generator", "PlannerOnly", "ResidualGenerator"),
     "dynaforge.generators.giving_up": ("GaveUp",),
     "dynaforge.generators.learner": ("LearnerGenerator",),

@@ -16,7 +16,7 @@ from dynaforge.demos.ledger import Ledger
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.envs.world import World
-from dynaforge.generators import Exploring, Goal, PlannerOnly, ResidualGenerator, Source, collect
+from dynaforge.generators import ConditionSource, ExploringPolicy, Goal, PlannerOnly, ResidualGenerator, collect
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.generators.oracle import Oracle
 from dynaforge.geometry import Pose
@@ -90,10 +90,10 @@ CONSTRUCTORS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "Ledger": (Ledger, {"path": "ledger.jsonl", "fsync": True}),
     "DemonstrationDataset": (DemonstrationDataset, {"path": "data", "task": "can", "keep_failures": False}),
     "Goal": (Goal, of(Goal(1, 1))),
-    "Source": (Source, of(Source())),
+    "ConditionSource": (ConditionSource, of(ConditionSource())),
     "ResidualGenerator": (ResidualGenerator, {"policy": POLICY, "policy_hash": "", "name": "residual"}),
     "ConstantResidual": (ConstantResidual, {"action": np.zeros(5)}),
-    "Exploring": (Exploring, {"policy": POLICY, "sigma": 0.3}),
+    "ExploringPolicy": (ExploringPolicy, {"policy": POLICY, "sigma": 0.3}),
     "Oracle": (Oracle, {"m": 4, "name": "oracle"}),
     "draw": (CAN.conditions.draw, {"rng": np.random.default_rng(0), "stratum": 0, "n_strata": 4}),
     "stratum": (CAN.conditions.stratum, {"difficulty": 0.5, "n_strata": 4}),

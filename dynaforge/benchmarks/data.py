@@ -14,7 +14,15 @@ import numpy as np
 from dynaforge.benchmarks.figure import Figure, spread, tracked
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.pack import Pack
-from dynaforge.generators import Exploring, Generator, Goal, PlannerOnly, ResidualGenerator, Source, collect
+from dynaforge.generators import (
+    ConditionSource,
+    ExploringPolicy,
+    Generator,
+    Goal,
+    PlannerOnly,
+    ResidualGenerator,
+    collect,
+)
 from dynaforge.generators.by_name import make_generator
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.sampling.processes import usable_cores
@@ -60,7 +68,7 @@ def writing(task: Task, *, rounds: int) -> list[Figure]:
     for number in tracked(range(rounds), "writing"):
         with tempfile.TemporaryDirectory() as folder:
             dataset = TimedDataset(folder, task=task.name)
-            collect(dataset, task, generator, Goal(None, ATTEMPTS), source=Source(number))
+            collect(dataset, task, generator, Goal(None, ATTEMPTS), source=ConditionSource(number))
             wall = time.perf_counter() - dataset.began
         shares.append(dataset.cpu / (cores * wall))
         busy.append(dataset.wall / wall)
@@ -113,7 +121,7 @@ def replay(task: Task) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         dataset = DemonstrationDataset(folder, task=task.name, keep_failures=True)
         action = np.zeros(np.count_nonzero(task.residual.scales), np.float32)
-        noisy = ResidualGenerator(Exploring(ConstantResidual(action), 0.5), name="noise")
+        noisy = ResidualGenerator(ExploringPolicy(ConstantResidual(action), 0.5), name="noise")
         generators: tuple[Generator, ...] = (PlannerOnly(), noisy)
         for generator in generators:
             collect(dataset, task, generator, Goal(None, REPLAYED // 2))

@@ -10,7 +10,7 @@ from dynaforge.cli.arguments.tasks import chosen_task
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.generators import GaveUp, Goal, Source, collect, run_attempts
+from dynaforge.generators import ConditionSource, GaveUp, Goal, collect, run_attempts
 from dynaforge.generators.collecting import Engine
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.ray_engine import connected, run_attempts_on_ray
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     started, found = time.monotonic(), len(dataset.attempts())
     if found:
         print(f"{out} holds {found} attempts; resuming")
-    source, problem = Source(options.seed, options.shard), ""
+    source, problem = ConditionSource(options.seed, options.shard), ""
     with Tally(goal) as tally:
         try:
             collect(

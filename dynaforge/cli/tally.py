@@ -21,9 +21,13 @@ class Tally:
         self._counts_demos = goal.demos is not None
         # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
         self._bar: tqdm[Any] = tqdm(
-            total=goal.demos or goal.attempts, unit="demo" if self._counts_demos else "attempt", leave=leave,
-            smoothing=0.05, miniters=0, mininterval=0.5,
-        )  # fmt: skip
+            total=goal.demos or goal.attempts,
+            unit="demo" if self._counts_demos else "attempt",
+            leave=leave,
+            smoothing=0.05,
+            miniters=0,
+            mininterval=0.5,
+        )
 
     def __enter__(self) -> Tally:
         return self

@@ -1,4 +1,4 @@
-"""Whether what an episode records is possible: for a real arm, and for objects that only physics moves."""
+"""Whether recorded motion is possible: for a real arm, and for objects that only physics moves."""
 
 from __future__ import annotations
 
@@ -13,58 +13,61 @@ from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim import RobotDescription, franka
 
-CONTACT_RANGE = 0.25  # metres from the hand: nothing of the robot touches an object there
-FINGER_SPEED_GAIN = 1.5  # m/s that turning and closing fingers may add to an object within a control step
+CONTACT_RANGE = 0.25  # metres: no part of the robot touches an object farther from the hand
+FINGER_SPEED_GAIN = 1.5  # m/s that turning or closing fingers may add to an object within one control step
 POSITION_TOLERANCE = 0.005  # metres
 GRAVITY = 9.81
-DEEP_CONTACT = 0.005  # metres of penetration that an impact may make
-DEEP_CONTACT_STEPS = 6  # control steps that a deep contact may last: an object pressed down between hand and table
-MARGIN = 1.01
+DEEP_CONTACT = 0.005  # metres of penetration that an impact may cause
+DEEP_CONTACT_STEPS = 6  # control steps that a deep contact may last: an object squeezed between hand and table
+MARGIN = 1.01  # by which a commanded motion may exceed a limit, for rounding
 
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Something that should not happen.
+    """Something that cannot happen in a real recording.
 
     Attributes:
-        step: Control step at which it happened first.
-        what: Which law it breaks, with the figure.
-        times: At how many steps.
+        step: First control step at which it happens.
+        violation: Which law it breaks, with the figure.
+        times: Number of control steps at which it happens.
     """
 
     step: int
-    what: str
+    violation: str
     times: int
 
     def __str__(self) -> str:
         more = f", and at {self.times - 1} more" if self.times > 1 else ""
-        return f"{self.what} at step {self.step}{more}"
+        return f"{self.violation} at step {self.step}{more}"
 
 
 def audit(episode: Episode, *, robot: RobotDescription | None = None, replayer: Replayer | None = None) -> list[Flag]:
     """Look for teleports, edited velocities, and motion that a real Franka could not make.
 
     Args:
-        episode: With the recorded state and references; what was not recorded is not looked at.
-        robot: Its limits; the Franka by default.
-        replayer: Simulates it again, to look for deep penetration too.
+        episode: The recorded states and references; a column that was not recorded is skipped.
+        robot: Whose limits apply; the Franka by default.
+        replayer: Simulates the episode again, to look for deep penetration too.
+
+    Returns:
+        One flag for each broken law, ordered by the first step at which it is broken.
     """
     if len(episode) < 3:
         return []
-    flags = [*_objects(episode), *_arm(episode, robot or franka())]
+    flags = [*_object_flags(episode), *_arm_flags(episode, robot or franka())]
     if replayer is not None:
-        flags += _depths(episode, replayer)
+        flags += _penetration_flags(episode, replayer)
     return sorted(flags, key=lambda flag: flag.step)
 
 
-def _flag(broken: NDArray[np.bool_], what: str, measured: Array) -> Iterator[Flag]:
-    """Make one flag of the steps at which a law is broken; `what` takes the worst figure."""
+def _flag(broken: NDArray[np.bool_], violation: str, measured: Array) -> Iterator[Flag]:
+    """Yield one flag for all steps at which a law is broken; `violation` is formatted with the worst figure."""
     steps = np.flatnonzero(broken)
     if len(steps):
-        yield Flag(int(steps[0]), what.format(float(np.max(measured[broken]))), len(steps))
+        yield Flag(int(steps[0]), violation.format(float(np.max(measured[broken]))), len(steps))
 
 
-def _objects(episode: Episode) -> Iterator[Flag]:
+def _object_flags(episode: Episode) -> Iterator[Flag]:
     steps, dt = episode.steps, np.diff(episode.steps["time"])
     hand = steps.get("ee_position")
     for key in steps:
@@ -73,32 +76,33 @@ def _objects(episode: Episode) -> Iterator[Flag]:
         velocity = steps.get(f"object/{name}/velocity")
         if kind != "object" or not rest.endswith("/position") or hand is None or velocity is None:
             continue
-        place = steps[key]
+        position = steps[key]
         speed = np.linalg.norm(velocity, axis=1)
-        away = np.linalg.norm(place - hand, axis=1)
-        near = np.minimum(away[1:], away[:-1]) < CONTACT_RANGE
-        way = np.linalg.norm(np.diff(place, axis=0), axis=1)
-        reach = (np.maximum(speed[1:], speed[:-1]) + np.where(near, FINGER_SPEED_GAIN, 0.0)) * dt + POSITION_TOLERANCE
-        yield from _flag(way > reach, f"{name} jumps {{:.3f}} m, further than its speed carries it,", way)
-        # Out of the hand's and every fixture's reach, only falling gives speed; twice, for impacts between two steps.
-        alone = ~near & _far_from(episode, place, ("fixture",))
-        energy = 0.5 * speed**2 + GRAVITY * place[:, 2]
-        gained = np.diff(energy)
+        distance = np.linalg.norm(position - hand, axis=1)
+        near_hand = np.minimum(distance[1:], distance[:-1]) < CONTACT_RANGE
+        moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        fastest = np.maximum(speed[1:], speed[:-1]) + np.where(near_hand, FINGER_SPEED_GAIN, 0.0)
+        farthest = fastest * dt + POSITION_TOLERANCE
+        yield from _flag(moved > farthest, f"{name} jumps {{:.3f}} m, further than its speed carries it,", moved)
+        # Away from the hand and all fixtures, only a fall adds speed. The tolerance counts twice because an impact may
+        # lie between two steps.
+        untouched = ~near_hand & _far_from(episode, position, ("fixture",))
+        gained = np.diff(0.5 * speed**2 + GRAVITY * position[:, 2])
         allowed = 1e-3 + 2.0 * GRAVITY * POSITION_TOLERANCE
-        yield from _flag(alone & (gained > allowed), f"{name} gains {{:.2f}} J/kg with nothing near it", gained)
+        yield from _flag(untouched & (gained > allowed), f"{name} gains {{:.2f}} J/kg with nothing near it", gained)
 
 
-def _far_from(episode: Episode, place: Array, kinds: tuple[str, ...]) -> NDArray[np.bool_]:
-    """Tell between which steps a place was out of reach of all bodies of these kinds."""
-    far = np.ones(len(place) - 1, dtype=bool)
+def _far_from(episode: Episode, position: Array, kinds: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return between which steps a position was out of contact range of all bodies of these kinds."""
+    far = np.ones(len(position) - 1, dtype=bool)
     for key, column in episode.steps.items():
         if key.startswith(kinds) and key.endswith("/position"):
-            distance = np.linalg.norm(place - column, axis=1)
+            distance = np.linalg.norm(position - column, axis=1)
             far &= np.minimum(distance[1:], distance[:-1]) > CONTACT_RANGE
     return far
 
 
-def _arm(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
+def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
     steps = episode.steps
     dt = np.diff(steps["time"])[:, None]
     if "q" in steps:
@@ -124,21 +128,20 @@ def _arm(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
 
 
 def _hand_alone(episode: Episode) -> NDArray[np.bool_]:
-    """Tell between which steps nothing can have pushed the fingers, which give way under load."""
+    """Return between which steps nothing can have pushed the fingers, which give way under load."""
     return _far_from(episode, episode.steps["ee_position"], ("object", "fixture"))
 
 
-def _depths(episode: Episode, replayer: Replayer) -> Iterator[Flag]:
+def _penetration_flags(episode: Episode, replayer: Replayer) -> Iterator[Flag]:
     depths = [replayer.scene.overlaps() for _ in replayer.states(episode)]
     for pair in depths[0]:
         depth = np.array([row[pair] for row in depths])
-        run, longest, end = 0, 0, 0
+        length = longest = last = 0
         for step, deep in enumerate(depth > DEEP_CONTACT):
-            run = run + 1 if deep else 0
-            if run > longest:
-                longest, end = run, step
+            length = length + 1 if deep else 0
+            if length > longest:
+                longest, last = length, step
         if longest > DEEP_CONTACT_STEPS:
             worst = 1000 * depth.max()
-            yield Flag(
-                end - longest + 1, f"{' and '.join(pair)} overlap by up to {worst:.0f} mm for {longest} steps", 1
-            )
+            violation = f"{' and '.join(pair)} overlap by up to {worst:.0f} mm for {longest} steps"
+            yield Flag(last - longest + 1, violation, times=1)

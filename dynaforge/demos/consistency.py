@@ -1,4 +1,4 @@
-"""Whether an episode's columns fit each other and its task, which is found without simulating anything."""
+"""Whether the columns of an episode agree with each other and with its task, checked without simulating anything."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from dynaforge.geometry import Array, Pose, matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.tasks import Task
 
-EXACT = 1e-9  # metres, radians, seconds: what another machine's rounding may make of a sum
-MEASURED = 1e-6  # metres, and parts of a unit quaternion: Bullet's kinematics against Pinocchio's
+EXACT = 1e-9  # metres, radians, seconds: how far rounding on another machine may change a sum
+MEASURED = 1e-6  # metres, and components of a unit quaternion: Bullet's kinematics against Pinocchio's
 Steps = Mapping[str, NDArray[Any]]
 
 
 def contradictions(episode: Episode, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
-    """Compare every column that follows from others with what it follows from; columns that are missing are left out.
+    """Compare every column that follows from others with what it follows from; missing columns are skipped.
 
     Args:
         episode: What was recorded.
-        task: Of the definition that it was recorded with.
-        kinematics: Of the arm.
+        task: Its task, as defined when the episode was recorded.
+        kinematics: Kinematics of the arm.
 
     Yields:
-        What contradicts what, and the first step of it.
+        What contradicts what, and the first step at which it does.
     """
     yield from _outcome(episode, task)
     if len(episode):
@@ -55,7 +55,7 @@ def _has(steps: Steps, *names: str) -> bool:
 
 
 def is_planned(episode: Episode) -> bool:
-    """Tell whether an episode ran a phase program; one that a learned policy acted out alone knows no phases."""
+    """Return whether an episode ran a phase program; one in which a learned policy acted alone has no phases."""
     return episode.outcome.phase != "" or bool({"phase", "gate", "planner_action"} & set(episode.steps))
 
 
@@ -87,7 +87,7 @@ def _clock(episode: Episode, task: Task) -> Iterator[str]:
 
 
 def _program(episode: Episode, task: Task) -> Iterator[str]:
-    """Check phase and gate: the program goes on by one phase at a time, and the phase says whether the gate is open."""
+    """Check phase and gate: the program advances one phase at a time, and the phase says whether the gate is open."""
     names = [phase.name for phase in task.phases]
     if "phases" in episode.meta and list(episode.meta["phases"]) != names:
         yield f"its phases are {episode.meta['phases']}, those of the task {names}"
@@ -106,7 +106,7 @@ def _program(episode: Episode, task: Task) -> Iterator[str]:
 
 
 def _residual(steps: Steps, task: Task) -> Iterator[str]:
-    """Check that the residual is none where the gate is closed, within its scales, and held for a decision."""
+    """Check that the residual is zero while the gate is closed, within its scales, and constant within a decision."""
     if not _has(steps, "residual_action", "gate"):
         return
     residual, gate = steps["residual_action"], steps["gate"]
@@ -115,36 +115,37 @@ def _residual(steps: Steps, task: Task) -> Iterator[str]:
         return
     yield from _first(~gate & residual.any(axis=1), "residual_action is not zero while the gate is closed,")
     scales = np.array(task.residual.scales)
-    for part in (slice(0, 3), slice(3, 6), slice(6, 7)):  # each of them may be turned, but gets no longer by it
+    for part in (slice(0, 3), slice(3, 6), slice(6, 7)):  # a rotated frame turns each part, but makes none longer
         size = np.linalg.norm(residual[:, part], axis=1)
         yield from _first(size > np.linalg.norm(scales[part]) + EXACT, "residual_action is beyond its scale")
-    opened = np.flatnonzero(gate & ~np.roll(gate, 1) | (np.arange(len(gate)) == 0))
-    since = np.arange(len(gate)) - opened[np.searchsorted(opened, np.arange(len(gate)), side="right") - 1]
-    held = gate[1:] & gate[:-1] & (since[1:] % task.residual.decision_steps != 0)
+    index = np.arange(len(gate))
+    opened = np.flatnonzero(gate & ~np.roll(gate, 1) | (index == 0))
+    since_opening = index - opened[np.searchsorted(opened, index, side="right") - 1]
+    within_decision = gate[1:] & gate[:-1] & (since_opening[1:] % task.residual.decision_steps != 0)
     changed = (residual[1:] != residual[:-1]).any(axis=1)
-    yield from _first(np.r_[False, held & changed], "residual_action changes within a decision")
+    yield from _first(np.r_[False, within_decision & changed], "residual_action changes within a decision")
 
 
 def _request(steps: Steps) -> Iterator[str]:
-    """Check Eq. 5 before its projection: the request is the plan and the residual, which turns about the hand."""
+    """Check Eq. 5 before its projection: the request is the plan plus the residual, which turns the hand in place."""
     if not _has(steps, "planner_action", "residual_action", "requested_action"):
         return
-    plan, residual, asked = steps["planner_action"], steps["residual_action"], steps["requested_action"]
+    plan, residual, requested = steps["planner_action"], steps["residual_action"], steps["requested_action"]
     if plan.shape[1] != 8 or residual.shape[1] != 7:
         yield f"planner_action has {plan.shape[1]} components, residual_action {residual.shape[1]}, not 8 and 7"
         return
     moved = plan[:, [0, 1, 2, 7]] + residual[:, [0, 1, 2, 6]]
-    wrong = (np.abs(asked[:, [0, 1, 2, 7]] - moved) > EXACT).any(axis=1)
+    wrong = (np.abs(requested[:, [0, 1, 2, 7]] - moved) > EXACT).any(axis=1)
     turn, quat = residual[:, 3:6], plan[:, 3:7]
-    odd = (np.abs(np.linalg.norm(quat, axis=1) - 1.0) > MEASURED) | (np.linalg.norm(turn, axis=1) > 2.0 * np.pi)
-    for k in np.flatnonzero(~odd):
+    wrong |= (np.abs(np.linalg.norm(quat, axis=1) - 1.0) > MEASURED) | (np.linalg.norm(turn, axis=1) > 2.0 * np.pi)
+    for k in np.flatnonzero(~wrong):
         turned = Pose(matrix_from_rotvec(turn[k]) @ matrix_from_quat(quat[k]), np.zeros(3)).quat_wxyz
-        odd[k] = _turned(asked[k : k + 1, 3:7], turned[None])[0] > EXACT
-    yield from _first(wrong | odd, "requested_action is not planner_action plus residual_action")
+        wrong[k] = _quat_distance(requested[k : k + 1, 3:7], turned[None])[0] > EXACT
+    yield from _first(wrong, "requested_action is not planner_action plus residual_action")
 
 
-def _turned(a: Array, b: Array) -> Array:
-    """Return how far quaternions lie from each other, shape (T,); q and -q are one rotation."""
+def _quat_distance(a: Array, b: Array) -> Array:
+    """Return the largest difference of components of quaternions, shape (T,); q and -q are the same rotation."""
     return np.asarray(np.minimum(np.abs(a - b).max(axis=1), np.abs(a + b).max(axis=1)))
 
 
@@ -153,7 +154,7 @@ def _projection(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator
     if _has(steps, "projected_action", "joint_reference") and steps["projected_action"].shape[1] == 8:
         action = steps["projected_action"]
         position, quat = _forward(steps["joint_reference"], kinematics)
-        wrong = (np.abs(action[:, :3] - position) > EXACT).any(axis=1) | (_turned(action[:, 3:7], quat) > EXACT)
+        wrong = (np.abs(action[:, :3] - position) > EXACT).any(axis=1) | (_quat_distance(action[:, 3:7], quat) > EXACT)
         yield from _first(wrong, "projected_action is not where joint_reference brings the hand")
         if _has(steps, "width_reference"):
             wrong = np.abs(action[:, 7] - steps["width_reference"]) > EXACT
@@ -167,24 +168,27 @@ def _projection(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator
 
 
 def _speeds(steps: Steps, task: Task, kinematics: ArmKinematics) -> Iterator[str]:
-    """Check that references and their speeds fit, as they do where the planner moves the arm."""
+    """Check that joint references agree with their velocities, as they do where the planner moves the arm."""
     robot, dt = kinematics.robot, task.scene.control_dt
     if _has(steps, "joint_reference", "joint_velocity_reference"):
         q = np.vstack((robot.q_ready, steps["joint_reference"]))
         dq = np.vstack((np.zeros(7), steps["joint_velocity_reference"]))
-        # The mean of two speeds is off by no more than an acceleration that turns round half way.
-        off = np.abs(np.diff(q, axis=0) - 0.5 * dt * (dq[1:] + dq[:-1])) / (0.25 * dt * dt * robot.ddq_max)
-        yield from _first((off > 1.01).any(axis=1), "joint_velocity_reference is not the speed of joint_reference")
+        # The mean of two velocities errs most where the acceleration changes its sign half way.
+        bound = 0.25 * dt * dt * robot.ddq_max
+        error = np.abs(np.diff(q, axis=0) - 0.5 * dt * (dq[1:] + dq[:-1])) / bound
+        yield from _first((error > 1.01).any(axis=1), "joint_velocity_reference is not the speed of joint_reference")
 
 
 def _hand(steps: Steps, kinematics: ArmKinematics) -> Iterator[str]:
-    """Check that the measured hand is where the measured joints bring it."""
+    """Check that the measured pose of the hand follows from the measured joints."""
     if not _has(steps, "q", "ee_position", "ee_quat_wxyz"):
         return
     position, quat = _forward(steps["q"], kinematics)
     wrong = (np.abs(steps["ee_position"] - position) > MEASURED).any(axis=1)
     yield from _first(wrong, "ee_position is not where q brings the hand")
-    yield from _first(_turned(steps["ee_quat_wxyz"], quat) > MEASURED, "ee_quat_wxyz is not how q turns the hand")
+    yield from _first(
+        _quat_distance(steps["ee_quat_wxyz"], quat) > MEASURED, "ee_quat_wxyz is not how q turns the hand"
+    )
 
 
 def _forward(q: Array, kinematics: ArmKinematics) -> tuple[Array, Array]:
@@ -193,18 +197,19 @@ def _forward(q: Array, kinematics: ArmKinematics) -> tuple[Array, Array]:
 
 
 def _contact(episode: Episode, task: Task) -> Iterator[str]:
-    """Check the times of contact in the header against the columns that they were read off."""
+    """Check the times of contact in the header against the columns that they were computed from."""
     steps = episode.steps
     if _has(steps, "left_contact", "right_contact"):
-        yield from _noted(episode, "contact_time", steps["left_contact"] | steps["right_contact"], "its contacts begin")
+        contact = steps["left_contact"] | steps["right_contact"]
+        yield from _stored_time(episode, "contact_time", contact, "its contacts begin")
     if _has(steps, "phase"):
-        yield from _noted(
-            episode, "planned_contact_time", steps["phase"] >= task.contact_phase, "its phase of contact begins"
-        )
+        planned = steps["phase"] >= task.contact_phase
+        yield from _stored_time(episode, "planned_contact_time", planned, "its phase of contact begins")
 
 
-def _noted(episode: Episode, name: str, holds: NDArray[np.bool_], what: str) -> Iterator[str]:
-    found = np.flatnonzero(holds)
+def _stored_time(episode: Episode, name: str, condition: NDArray[np.bool_], event: str) -> Iterator[str]:
+    """Compare a time in `meta` with that of the first step at which a condition is true."""
+    found = np.flatnonzero(condition)
     first = float(episode.steps["time"][found[0]]) if len(found) else None
     if name in episode.meta and episode.meta[name] != first:
-        yield f"its {name} is {episode.meta[name]}, {what} at {first}"
+        yield f"its {name} is {episode.meta[name]}, {event} at {first}"

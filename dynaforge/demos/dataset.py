@@ -24,13 +24,13 @@ NOTES = (_MARKER, SOURCES, _LEDGER)
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What made attempts.
+    """What made the attempts of a generator.
 
     Attributes:
         policy: Digest of the policy; "" without one.
         task_definition: Digest of the task's definition.
-        task_file: Name of the file that held the task; "" for a task of the package. Only for messages: a dataset may
-            come from anybody, so nothing that it names is ever imported.
+        task_file: Name of the file that defined the task; "" for a task of the package. Only for messages: a dataset
+            may come from anybody, so nothing that it names is ever imported.
     """
 
     policy: str
@@ -51,20 +51,20 @@ class DemonstrationDataset:
     """Demonstrations of one task in a folder: `dataset.json`, `ledger.jsonl`, `episodes/<id>.h5`.
 
     There is no index file: the names in `episodes/` are the index. Any number of processes may add to one folder,
-    and an attempt that is repeated replaces itself.
+    and repeating an attempt only replaces its own file.
 
     Args:
         path: The folder.
         task: Name of the task, which opens the folder for adding and creates it if it does not exist. Without it an
             existing folder is opened for reading only.
-        keep_failures: Whether `add` keeps the recording of failed episodes too; the ledger holds them in any case.
+        keep_failures: Whether `add` keeps the recordings of failed episodes too; the ledger lists them in any case.
 
     Raises:
         FileNotFoundError: The folder holds no dataset and no task was given.
         DamagedFileError: Its `dataset.json` cannot be read.
         FileExistsError: The folder holds other data.
         PermissionError: A task was given and the folder cannot be created or written to.
-        ValueError: The folder belongs to another task, or was written by a newer version; or `task` may not name one.
+        ValueError: The folder belongs to another task, or was written by a newer version; or `task` cannot name one.
     """
 
     def __init__(self, path: str | Path, *, task: str | None = None, keep_failures: bool = False) -> None:
@@ -87,7 +87,15 @@ class DemonstrationDataset:
             self._open_for_adding()
 
     def add(self, episode: Episode, *, wall_seconds: float = 0.0, block: int = 0) -> Attempt:
-        """Record the attempt that an episode was; see `record`.
+        """Record an episode as an attempt; see `record`.
+
+        Args:
+            episode: What happened, successful or not.
+            wall_seconds: Real time that it took; 0 where it is not known.
+            block: Block of conditions that it belongs to.
+
+        Returns:
+            The attempt as the ledger lists it.
 
         Raises:
             PermissionError, ValueError, OSError: As `record`.
@@ -96,20 +104,20 @@ class DemonstrationDataset:
         return self.record(Attempt.of(episode, wall_seconds=wall_seconds, block=block), episode)
 
     def record(self, attempt: Attempt, episode: Episode | None = None) -> Attempt:
-        """Record an attempt; its recording, where it is to be kept, is on disk before its line in the ledger is.
+        """Record an attempt; its recording, if it is kept, is on disk before its line in the ledger.
 
         The recordings of the successes are the demonstration set D of Eq. 2.
 
         Args:
             attempt: What happened.
-            episode: Its recording; None where it left none (an exception, a worker that died): it counts all the same.
+            episode: Its recording; None where it left none (an exception, a worker that died). It counts all the same.
 
         Returns:
-            The attempt as the ledger holds it, with whether its recording was kept.
+            The attempt as the ledger lists it, including whether its recording was kept.
 
         Raises:
             PermissionError: The dataset was opened for reading only.
-            ValueError: The attempt is one at another task, or the episode is another attempt's.
+            ValueError: The attempt is at another task, or the episode belongs to another attempt.
             OSError: The disk is full or the folder has gone; nothing that was added before is lost.
         """
         check_kind("attempt", attempt, Attempt)
@@ -124,7 +132,7 @@ class DemonstrationDataset:
         return attempt
 
     def attempts(self) -> list[Attempt]:
-        """Return every attempt once: those of the ledger, then those only a file tells of (killed in between)."""
+        """Return every attempt once: those in the ledger, then those that a kill left with a recording only."""
         found = {attempt.id: attempt for attempt in self.ledger.attempts()}
         for name in self.ids():
             if name not in found:
@@ -132,12 +140,12 @@ class DemonstrationDataset:
         return list(found.values())
 
     def missing_recordings(self) -> list[Attempt]:
-        """Return the attempts of the ledger whose recording was kept and is gone."""
+        """Return the attempts in the ledger whose recording was kept and no longer exists."""
         names = set(self.ids())
         return [a for a in self.ledger.attempts() if (a.success or a.recorded) and a.id not in names]
 
     def sources(self) -> dict[str, Provenance]:
-        """Return what stands behind each generator's name, as far as it was noted.
+        """Return what made the attempts of each generator, by the generator's name, as far as it was noted.
 
         Raises:
             DamagedFileError: The file cannot be read.
@@ -153,25 +161,24 @@ class DemonstrationDataset:
             raise DamagedFileError(path, f"it does not say what made the episodes ({printable(error)})") from error
 
     def note_source(self, generator: str, source: Provenance) -> None:
-        """Note what stands behind a generator's name, so that attempts of two policies or task definitions never mix.
+        """Note what makes the attempts of a generator, so that those of two policies or task definitions never mix.
 
         Raises:
             PermissionError: The dataset was opened for reading only.
             ValueError: The folder holds attempts of another policy, or with another definition of the task.
         """
         self._check(self.task)
-        known = self.sources()
-        held = known.get(generator)
-        if held == source:
+        sources = self.sources()
+        noted = sources.get(generator)
+        if noted == source:
             return
-        if held is None:
-            text = json.dumps(
-                {name: noted.to_dict() for name, noted in (known | {generator: source}).items()}, indent=1
-            )
+        if noted is None:
+            sources[generator] = source
+            text = json.dumps({name: each.to_dict() for name, each in sources.items()}, indent=1)
             atomic_write(self.path / SOURCES, text.encode() + b"\n")
-        elif held.policy != source.policy:
+        elif noted.policy != source.policy:
             raise ValueError(
-                f"{self.path} holds attempts of policy {held.policy or 'none'}, not of {source.policy or 'none'}. "
+                f"{self.path} holds attempts of policy {noted.policy or 'none'}, not of {source.policy or 'none'}. "
                 "Choose another folder."
             )
         else:
@@ -202,10 +209,10 @@ class DemonstrationDataset:
     def __repr__(self) -> str:
         try:
             n = len(self)
-            held = f"{n} episode{'s' if n != 1 else ''}"
+            contents = f"{n} episode{'s' if n != 1 else ''}"
         except DamagedFileError:
-            held = "damaged"
-        return f"DemonstrationDataset({str(self.path)!r}, {self.task}, {held})"
+            contents = "damaged"
+        return f"DemonstrationDataset({str(self.path)!r}, {self.task}, {contents})"
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[name] for name in self.ids())
@@ -214,7 +221,7 @@ class DemonstrationDataset:
         """Read one episode by its id.
 
         Raises:
-            KeyError: There is none of that id.
+            KeyError: There is no episode with that id.
             DamagedFileError: Its file was altered, or holds another episode.
         """
         path = self.file_of(episode_id)
@@ -241,7 +248,7 @@ class DemonstrationDataset:
             remove_stale(folder)
         noted = {attempt.id for attempt in self.ledger.attempts()}
         for name in self.ids():
-            if name not in noted:  # a kill fell between the file and its line
+            if name not in noted:  # a kill came between writing the file and its line
                 self.ledger.append(Attempt.of(self[name], recorded=True))
 
 
@@ -253,7 +260,7 @@ def _prepare(path: Path, task: str) -> None:
     except OSError as error:
         raise PermissionError(f"Cannot create {path}: {error.strerror}. Choose another folder.") from error
     others = sorted(entry.name for entry in path.iterdir() if not is_temporary(entry))
-    if (path / _MARKER).exists():  # asked after listing: another collector may just be creating the folder
+    if (path / _MARKER).exists():  # checked after listing: another collector may be creating the folder right now
         return
     if others:
         raise FileExistsError(f"{path} holds other data ({', '.join(others[:3])}). Choose an empty or new folder.")
@@ -266,8 +273,8 @@ def _read_marker(path: Path) -> str:
     marker = path / _MARKER
     kind = kind_of(path)
     if kind != "a folder":
-        what = f"it is {kind}, not a folder" if kind else "there is no such folder"
-        raise FileNotFoundError(f"{printable(path)} holds no demonstrations: {what}.")
+        problem = f"it is {kind}, not a folder" if kind else "there is no such folder"
+        raise FileNotFoundError(f"{printable(path)} holds no demonstrations: {problem}.")
     try:
         data = read_json(marker)
     except FileNotFoundError:
@@ -279,7 +286,7 @@ def _read_marker(path: Path) -> str:
             f"{printable(path)} has format version {data.get('version')!r:.20}; this dynaforge reads {FORMAT_VERSION}."
         )
     try:
-        check_task_name("task", data["task"])  # never a path: a folder makes nothing be imported
+        check_task_name("task", data["task"])  # never a path: opening a folder imports nothing
     except ValueError:
         raise DamagedFileError(marker, f"{data['task']!r:.80} is no name of a task") from None
     return str(data["task"])

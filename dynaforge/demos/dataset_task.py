@@ -1,7 +1,7 @@
-"""The task of a folder of demonstrations that a command is given.
+"""The task of a folder of demonstrations.
 
-A folder may come from anybody, so nothing that it names is imported. A task that is not one of the package is the
-user's to name, and is taken only if it is the one that the demonstrations were made with.
+A folder may come from anybody, so nothing that it names is imported. A user-defined task must be given by the user, and
+is accepted only if the demonstrations were made with it.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
     """Return the task of a dataset.
 
     Args:
-        dataset: Whose task.
-        given: Name, env id or file of the task, from the user; None for a task of the package.
+        dataset: The demonstrations.
+        given: Name, env id or file of the task, as the user gave it; None for a task of the package.
 
     Raises:
-        ValueError: The task is one of the user's own and was not given, or another one was given.
+        ValueError: The task is user-defined and was not given, or another one was given.
     """
     if given is None and dataset.task not in ENV_NAMES:
         raise ValueError(f"{dataset.path}: {_origin(dataset)}")
@@ -55,12 +55,12 @@ def _variants(task: Task) -> Iterable[Task]:
 def _sources(dataset: DemonstrationDataset) -> list[Provenance]:
     try:
         return list(dataset.sources().values())
-    except DamagedFileError:  # `verify` says so
+    except DamagedFileError:  # `verify` reports it
         return []
 
 
 def _origin(dataset: DemonstrationDataset) -> str:
-    """Say which task the demonstrations were made with, and how it is given."""
+    """Describe which task the demonstrations were made with, and how to give it."""
     sources = _sources(dataset)
     found = {source.task_definition for source in sources if re.fullmatch("[0-9a-f]{16}", source.task_definition)}
     digests = " and ".join(sorted(found)) or "unknown"

@@ -1,4 +1,4 @@
-"""In what a recording differs from its attempt made again, column by column, to the bit."""
+"""How a recording differs from the same attempt made again, column by column, bit for bit."""
 
 from __future__ import annotations
 
@@ -9,16 +9,22 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.episode import Episode
 
-ELSEWHERE = ("versions", "policy_hash")  # in `meta`: what a repetition cannot know
+RUN_SPECIFIC = ("versions", "policy_hash")  # entries of `meta` that a repetition cannot know
 
 
 def differences(recorded: Episode, again: Episode) -> list[str]:
     """Compare everything that a repetition determines: outcome, `meta`, and every column.
 
-    Where columns differ at several steps, those that differ first are told apart: what comes later may only follow
-    from them.
+    Columns that differ at the earliest step are reported on their own: later differences may only follow from them.
+
+    Args:
+        recorded: The recording.
+        again: The same attempt, made again.
+
+    Returns:
+        One sentence for each difference; empty where there is none.
     """
-    noted, repeated = _end(recorded), _end(again)
+    noted, repeated = _outcome(recorded), _outcome(again)
     found = [
         f"its {name} is recorded as {noted[name]!r}, made again it is {value!r}"
         for name, value in repeated.items()
@@ -27,12 +33,12 @@ def differences(recorded: Episode, again: Episode) -> list[str]:
     found += [
         f"its {name} is not what its attempt made again gives"
         for name, value in again.meta.items()
-        if name not in ELSEWHERE and recorded.meta.get(name) != value
+        if name not in RUN_SPECIFIC and recorded.meta.get(name) != value
     ]
     return found + _columns(recorded, again)
 
 
-def _end(episode: Episode) -> dict[str, Any]:
+def _outcome(episode: Episode) -> dict[str, Any]:
     return episode.outcome.to_dict() | {"duration": episode.duration}
 
 
@@ -60,7 +66,7 @@ def _columns(recorded: Episode, again: Episode) -> list[str]:
 
 
 def first_row(a: NDArray[Any], b: NDArray[Any]) -> int | None:
-    """Return the first row in which two columns differ, as far as both go; None if there is none."""
+    """Return the first row in which two columns differ, up to the end of the shorter one; None if there is none."""
     if a.shape[1:] != b.shape[1:]:
         return 0
     rows = min(len(a), len(b))

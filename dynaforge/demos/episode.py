@@ -1,4 +1,4 @@
-"""One attempt at a task, successful or not: what is known of it, its recording, and its line in the ledger."""
+"""One attempt at a task, successful or not: its facts, its recording, and its line in the ledger."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def episode_id(condition: Condition, generator: str) -> str:
-    """Name the attempt of a generator at a condition: equal attempts have equal ids, so repeats are harmless.
+    """Return the id of a generator's attempt at a condition: equal attempts have equal ids, so repeats are harmless.
 
     Raises:
-        ValueError: The generator's name does not fit into a file name.
+        ValueError: The generator's name cannot be part of a file name.
     """
     check_generator_name(generator)
     return f"{condition.id}-{generator}"
 
 
 def check_generator_name(name: Any) -> None:
-    """Raise ValueError unless a generator's name fits into a file name."""
+    """Raise ValueError unless a generator's name can be part of a file name."""
     if not isinstance(name, str) or not _GENERATOR_NAME.fullmatch(name):
         raise ValueError(f"Generator name {quoted(name)} must consist of letters, digits, '.', '_' and '-'.")
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AttemptFacts:
-    """What is known of every attempt, whether or not it was recorded: what `Episode` and `Attempt` share.
+    """What is known of every attempt, whether or not it was recorded; `Episode` and `Attempt` share it.
 
     Attributes:
         condition: What fixed the episode.
-        generator: Name of what made it, e.g. "planner" or "residual".
+        generator: Name of the generator, e.g. "planner_only" or "residual".
         outcome: How it ended.
         duration: Simulated seconds.
 
@@ -65,7 +65,7 @@ class AttemptFacts:
 
     @property
     def id(self) -> str:
-        """Condition id and generator: also the name of the recording's file."""
+        """Condition id and generator; the file of the recording is named after it."""
         return episode_id(self.condition, self.generator)
 
     @property
@@ -192,7 +192,7 @@ class Attempt(AttemptFacts):
     Attributes:
         condition, generator, outcome, duration: As in `AttemptFacts`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
-        block: Which block of conditions it belongs to (PROTOCOL: standard deviations are over blocks).
+        block: Which block of conditions it belongs to; standard deviations are over blocks.
         recorded: Whether its recording was kept.
     """
 
@@ -208,7 +208,14 @@ class Attempt(AttemptFacts):
 
     @staticmethod
     def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
-        """Return the line of an episode."""
+        """Return the ledger's line of an episode.
+
+        Args:
+            episode: What happened.
+            wall_seconds: Real time the attempt took; 0 where it is not known.
+            block: Which block of conditions it belongs to.
+            recorded: Whether its recording was kept.
+        """
         return Attempt(
             condition=episode.condition,
             generator=episode.generator,

@@ -1,4 +1,4 @@
-"""What can be wrong with one recording, check by check; each yields its problems as sentences."""
+"""The checks of a single recording; each yields the problems that it finds, as sentences."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Check = Callable[[Episode], Iterable[str]]
 
 
 def digests(episode: Episode) -> Iterator[str]:
-    """Compare the states with the digests that were noted of them."""
+    """Compare the states with the digests that were stored with them."""
     noted, found = episode.meta.get("state_digests"), state_digests(episode.steps)
     if noted is not None and list(noted) != found:
         second = next((k for k, (a, b) in enumerate(zip(noted, found, strict=False)) if a != b), len(found))
@@ -41,7 +41,7 @@ def rewards(episode: Episode) -> Iterator[str]:
 
 
 def numbers(episode: Episode) -> Iterator[str]:
-    """Look for NaN and infinity."""
+    """Check that there is neither NaN nor infinity."""
     for name, array in episode.steps.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             step = int(np.argwhere(~np.isfinite(array))[0][0])
@@ -49,7 +49,7 @@ def numbers(episode: Episode) -> Iterator[str]:
 
 
 def of_source(sources: Mapping[str, Provenance] | None) -> Check:
-    """Compare with what the folder notes of the recording's generator; of a folder without, that is said elsewhere."""
+    """Return a check against the folder's notes on generators; that they are missing is reported elsewhere."""
 
     def check(episode: Episode) -> Iterator[str]:
         if not sources:
@@ -66,7 +66,7 @@ def of_source(sources: Mapping[str, Provenance] | None) -> Check:
 
 
 def of_ledger(attempts: Mapping[str, Attempt]) -> Check:
-    """Compare with the line of the ledger, by id."""
+    """Return a check against the line of the ledger with the same id."""
 
     def check(episode: Episode) -> Iterator[str]:
         if (noted := attempts.get(episode.id)) is None:
@@ -80,7 +80,7 @@ def of_ledger(attempts: Mapping[str, Attempt]) -> Check:
 
 
 def of_task(task: Task) -> Check:
-    """Compare with the task's definition, and the columns with each other as the task relates them."""
+    """Return a check against the task's definition, and of the columns against each other as the task relates them."""
     kinematics, definition = ArmKinematics(franka()), task_digest(task)
 
     def check(episode: Episode) -> Iterator[str]:
@@ -94,11 +94,11 @@ def of_task(task: Task) -> Check:
 
 
 def of_physics(again: Callable[[Episode], Episode] | None, replayer: Replayer | None) -> Check:
-    """Make the attempt again and compare all it records; where that cannot be, only its joint references.
+    """Return a check that makes the attempt again and compares the recordings, or else replays its joint references.
 
     Args:
-        again: Makes an attempt again from its recording.
-        replayer: Simulates what `again` does not repeat.
+        again: Makes an attempt again from its recording; None to skip that.
+        replayer: Replays an episode that `again` cannot repeat; None to skip that.
     """
 
     def check(episode: Episode) -> Iterator[str]:
@@ -109,7 +109,7 @@ def of_physics(again: Callable[[Episode], Episode] | None, replayer: Replayer | 
                 found = [str(error)]
             yield from (f"{problem}{_versions(episode)}" for problem in found)
             if not found:
-                return  # an attempt that repeats to the bit has repeated its physics
+                return  # an attempt repeated bit for bit has repeated its physics too
         if replayer is None:
             return
         replay = replayer.replay(episode)

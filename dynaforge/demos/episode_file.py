@@ -1,8 +1,9 @@
-"""One immutable HDF5 file per episode: reading it detects every flipped bit and every missing tail.
+"""One immutable HDF5 file per episode: reading it detects every flipped bit and every truncation.
 
 The file begins with a 512-byte HDF5 user block: one text line with the SHA-256 and the length of all bytes that
-follow. Any HDF5 reader skips it. In the file: the root attribute `header` (JSON) and one table `steps`, a row a control
-step and a column a quantity: `file["steps"]["q"]`. Its 22 columns take a third of the time of 22 datasets.
+follow. Any HDF5 reader skips it. The content is the root attribute `header` (JSON) and one table `steps`, with one row
+per control step and one column per quantity: `file["steps"]["q"]`. A table of 22 columns takes a third of the time of
+22 datasets.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.untrusted import (
-    MALFORMED,
+    MALFORMED_FILE_ERRORS,
     DamagedFileError,
     check_links,
     parse_json,
@@ -33,15 +34,15 @@ from dynaforge.files.atomic import atomic_write
 
 FORMAT_VERSION = 2
 SUFFIX = ".h5"
-LONGEST = 2**28  # bytes of an episode that is read: hours at control rate
+LONGEST = 2**28  # bytes of the largest file that is read: hours at control rate
 _USER_BLOCK = 512
 _MAGIC = b"DYNAFORGE-EPISODE"
 _IN_MEMORY = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
 _IN_MEMORY.set_fapl_core(1 << 16, False)
 _IN_MEMORY.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
-_TIMELESS = h5py.h5p.create(h5py.h5p.FILE_CREATE)  # equal episodes, equal bytes
+_TIMELESS = h5py.h5p.create(h5py.h5p.FILE_CREATE)  # without time stamps, equal episodes give equal bytes
 _TIMELESS.set_obj_track_times(False)
-_LAID_OUT = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # place for the data at once, nothing in it
+_LAID_OUT = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # space for the data is reserved at once, and left unwritten
 _LAID_OUT.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
 _LAID_OUT.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
 _LAID_OUT.set_obj_track_times(False)
@@ -50,7 +51,7 @@ _TEXT_TYPE = h5py.h5t.py_create(_TEXT, logical=True)
 
 
 def write_episode(path: str | Path, episode: Episode) -> None:
-    """Write one episode whole or not at all (`atomic_write`); an equal one already there is replaced.
+    """Write one episode, whole or not at all (`atomic_write`); an existing file is replaced.
 
     Raises:
         OSError: The folder is missing or not writable, or the disk is full.
@@ -63,18 +64,18 @@ def read_episode(path: str | Path) -> Episode:
 
     Raises:
         FileNotFoundError: There is no such file.
-        DamagedFileError: The file was altered, cut off, or is no episode.
+        DamagedFileError: The file was altered, truncated, or is no episode.
     """
     data = read_file(Path(path), at_most=LONGEST)
     check_seal(path, data)
     try:
         return Episode.from_header(*_decode(data))
-    except MALFORMED as error:
+    except MALFORMED_FILE_ERRORS as error:
         raise DamagedFileError(path, f"its content is no episode ({printable(error)})") from error
 
 
 def write_sealed(path: str | Path, body: bytes) -> None:
-    """Write an HDF5 file's bytes behind the user block that `check_seal` reads, whole or not at all."""
+    """Write the bytes of an HDF5 file after the user block that `check_seal` reads, whole or not at all."""
     atomic_write(path, _seal(body) + body)
 
 
@@ -86,8 +87,13 @@ def _seal(body: bytes) -> bytes:
 def check_seal(path: str | Path, data: bytes, *, remedy: str = "collect") -> None:
     """Check every byte of a file against its user block.
 
+    Args:
+        path: The file, for the message.
+        data: All its bytes.
+        remedy: How the file can be made again, for the message.
+
     Raises:
-        DamagedFileError: The file was altered, cut off, or never had one.
+        DamagedFileError: The file was altered, truncated, or never had a user block.
     """
     block, body = data[:_USER_BLOCK], data[_USER_BLOCK:]
     if not block.startswith(_MAGIC):
@@ -97,10 +103,10 @@ def check_seal(path: str | Path, data: bytes, *, remedy: str = "collect") -> Non
 
 
 def _encode(episode: Episode) -> bytes:
-    """Return the HDF5 file.
+    """Return the bytes of the HDF5 file.
 
-    In memory: a full disk is then met by one plain write and not inside the HDF5 library. By the library's low-level
-    calls, and the table put in its place by hand: a fifth of the time that `h5py.File` and `create_dataset` take.
+    It is made in memory, so that a full disk fails in one plain write and not inside the HDF5 library. Low-level calls,
+    with the table's bytes copied into place, take a fifth of the time of `h5py.File` and `create_dataset`.
     """
     table = _table(episode)
     file = h5py.h5f.create(b"episode", fcpl=_TIMELESS, fapl=_IN_MEMORY)
@@ -135,7 +141,7 @@ def _table(episode: Episode) -> NDArray[Any] | None:
     return table
 
 
-@lru_cache(maxsize=64)  # a collector meets one
+@lru_cache(maxsize=64)  # a collector needs only one
 def _hdf5_type(dtype: np.dtype[Any]) -> Any:
     return h5py.h5t.py_create(dtype, logical=True)
 

@@ -1,4 +1,4 @@
-"""What can be wrong with a folder of demonstrations beside its recordings: the ledger, the notes, files of others."""
+"""The checks of a folder of demonstrations apart from its recordings: ledger, notes, and files that do not belong."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something that is wrong.
+    """A problem with a file.
 
     Attributes:
         path: The file.
@@ -39,14 +39,14 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Notes:
-    """What a folder notes beside its recordings, read once.
+    """What a folder contains besides its recordings, read once.
 
     Attributes:
         names: Ids of the recordings.
-        attempts: The ledger, by id.
+        attempts: The attempts in the ledger, by id.
         sources: `generators.json`; None where it cannot be read.
         observations: The rendered observations; None where there are none, or their settings cannot be read.
-        findings: What was wrong with all this.
+        findings: The problems met while reading.
     """
 
     names: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Notes:
 
 
 def read_notes(dataset: DemonstrationDataset) -> Notes:
-    """Read what there is beside the recordings, each file once; what cannot be read is a finding."""
+    """Read what there is besides the recordings, each file once; what cannot be read is a finding."""
     found: list[Finding] = []
 
     def reading(read: Callable[[], _T]) -> _T | None:
@@ -88,14 +88,14 @@ def read_notes(dataset: DemonstrationDataset) -> Notes:
 
 
 def verify_folder(dataset: DemonstrationDataset, notes: Notes, task: Task | None = None) -> list[Finding]:
-    """Check the ledger against the task and the recordings, both ways, and that nothing else lies among the files.
+    """Check the ledger against the task and the recordings, and that no other files lie among these.
 
-    Lines lost from the ledger are seen by the recordings they spoke of; of a lost failure that left none, nothing is.
+    A line missing from the ledger is noticed where a recording remains; a failure without a recording leaves no trace.
 
     Args:
         dataset: The folder.
-        notes: Of the folder.
-        task: Which its attempts are at; without it their conditions are not checked.
+        notes: What `read_notes` found in the folder.
+        task: The task of the dataset; without it, conditions are not checked.
     """
     ledger, names, noted = dataset.ledger.path, set(notes.names), notes.attempts.values()
     found = list(notes.findings)
@@ -115,7 +115,7 @@ def verify_folder(dataset: DemonstrationDataset, notes: Notes, task: Task | None
 
 
 def wrong_condition(task: Task, condition: Condition) -> str:
-    """Say why a condition is not one of a task; "" where it is."""
+    """Return why a condition is not one of a task; "" where it is."""
     try:
         task.conditions.validate(condition)
     except ValueError as error:
@@ -124,15 +124,15 @@ def wrong_condition(task: Task, condition: Condition) -> str:
 
 
 def _odd(path: Path) -> bool:
-    """Tell whether something is neither file nor folder, and is not looked at by its name anyway."""
+    """Return whether something is neither file nor folder, apart from names that are checked elsewhere."""
     return kind_of(path) not in ("a file", "a folder") and path.name not in (EPISODES, OBSERVATIONS, *NOTES)
 
 
 def _strangers(folder: Path, names: set[str], *others: str) -> list[Finding]:
-    """Find files that are none of a folder's; a file under way is one."""
+    """Return files that do not belong to a folder; a temporary file, still being written, does."""
     try:
         paths = files_in(folder)
-    except DamagedFileError:  # said of the folder
+    except DamagedFileError:  # reported for the folder itself
         return []
     return [
         Finding(path, "it belongs to no episode here")

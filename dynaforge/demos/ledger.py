@@ -11,19 +11,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from dynaforge.demos.episode import Attempt
-from dynaforge.demos.untrusted import MALFORMED, open_file, parse_json
+from dynaforge.demos.untrusted import MALFORMED_FILE_ERRORS, open_file, parse_json
 from dynaforge.files.atomic import errors_naming
 from dynaforge.sim.checks import check_flag, check_kind
 
-LONGEST = 2**31  # bytes of a ledger that is read: millions of attempts
-LINE = 2**20  # bytes of a line at most
+LONGEST = 2**31  # bytes of the largest ledger that is read: millions of attempts
+LINE = 2**20  # bytes of the longest line
 
 
 class Ledger:
     """An append-only file of attempts, one JSON line each; any number of processes may write to it.
 
-    A line is one O_APPEND write and ends with its own checksum. A line torn by a kill or altered later is left out
-    on reading, and counted by `read`.
+    A line is one O_APPEND write and ends with its own checksum. A line torn by a kill or altered later is skipped when
+    reading, and reported by `read`.
+
+    Args:
+        path: The file; it need not exist.
+        fsync: Whether `append` waits until the line is on disk.
     """
 
     def __init__(self, path: str | Path, *, fsync: bool = True) -> None:
@@ -33,16 +37,16 @@ class Ledger:
         self.fsync = fsync
 
     def append(self, attempt: Attempt) -> None:
-        """Add one line; on disk when this returns, if `fsync`.
+        """Append one line; with `fsync` it is on disk when this returns.
 
         Raises:
-            OSError: The file is not writable, or a link that might lead anywhere, or the disk is full.
+            OSError: The file is not writable or is a link, which might lead anywhere, or the disk is full.
         """
         line = _line(attempt)
-        descriptor = self._opened()
+        descriptor = self._open()
         try:
             size = os.fstat(descriptor).st_size
-            # A writer that was killed may have left half a line: begin a fresh one. A superfluous break is harmless.
+            # A killed writer may have left half a line, so begin a new one; an empty line is harmless.
             if size and os.pread(descriptor, 1, size - 1) != b"\n":
                 line = b"\n" + line
             with errors_naming(self.path):
@@ -53,7 +57,7 @@ class Ledger:
         finally:
             os.close(descriptor)
 
-    def _opened(self) -> int:
+    def _open(self) -> int:
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
         try:
             return os.open(self.path, flags, 0o666)
@@ -63,7 +67,7 @@ class Ledger:
             raise
 
     def attempts(self) -> list[Attempt]:
-        """Return the attempts in order of writing; of several with one id, the first.
+        """Return the attempts in the order of writing; of several with the same id, the first.
 
         Raises:
             DamagedFileError: The file cannot be read at all.
@@ -71,7 +75,11 @@ class Ledger:
         return self.read()[0]
 
     def read(self) -> tuple[list[Attempt], list[int]]:
-        """Return `attempts`, and the numbers, from 1, of the lines that were torn or altered; raises as `attempts`."""
+        """Return the attempts, and the numbers, from 1, of the lines that were torn or altered.
+
+        Raises:
+            DamagedFileError: As `attempts`.
+        """
         found: dict[str, Attempt] = {}
         damaged: list[int] = []
         for number, line in enumerate(self._lines(), 1):
@@ -97,6 +105,6 @@ def _parse(line: bytes) -> Attempt | None:
     try:
         record = parse_json(line)
         attempt = Attempt.from_dict(record["attempt"])
-        return attempt if _line(attempt) == line + b"\n" else None  # the line as written, byte for byte
-    except MALFORMED:
+        return attempt if _line(attempt) == line + b"\n" else None  # only a line as `append` writes it
+    except MALFORMED_FILE_ERRORS:
         return None

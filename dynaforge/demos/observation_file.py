@@ -1,4 +1,4 @@
-"""One sealed HDF5 file with the observations of an episode: an array a quantity, each checked before it is read."""
+"""One sealed HDF5 file with the observations of an episode: one array per quantity, each checked before it is read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import check_seal, write_sealed
 from dynaforge.demos.untrusted import (
-    MALFORMED,
+    MALFORMED_FILE_ERRORS,
     DamagedFileError,
     check_links,
     printable,
@@ -25,9 +25,9 @@ from dynaforge.demos.untrusted import (
 
 SETTINGS = "settings.json"
 REMEDY = "render"  # how a damaged file is made again
-LONGEST = 2**32  # bytes of the observations of an episode, pressed or not, that are read
+LONGEST = 2**32  # bytes of observations of an episode that are read at most, compressed or not
 Layout = Mapping[str, tuple[tuple[int, ...], str]]
-"""Shape of one control step and type, by the name of an array."""
+"""Shape at one control step and type of each array, by its name."""
 
 
 def write_observations(
@@ -36,10 +36,10 @@ def write_observations(
     """Write the observations of an episode, whole or not at all.
 
     Args:
-        path: Where.
-        episode: Of which recording.
+        path: The file.
+        episode: The recording that was rendered.
         arrays: What `ObservationRenderer.render` returned.
-        names: What the numbers of its segmentations stand for.
+        names: What the numbers in the segmentations stand for.
         settings: Digest of the settings file beside it.
     """
     buffer = io.BytesIO()
@@ -50,9 +50,9 @@ def write_observations(
         file.attrs["things"] = json.dumps(names)
         for name, array in arrays.items():
             image = array.ndim >= 4 or name.endswith(("depth", "segmentation"))
-            pressed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
+            compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
             chunks = (1, *array.shape[1:]) if image else None
-            file.create_dataset(name, data=array, chunks=chunks, **pressed)
+            file.create_dataset(name, data=array, chunks=chunks, **compression)
     write_sealed(path, buffer.getvalue())
 
 
@@ -62,15 +62,15 @@ def read_observations(
     """Read the observations of an episode after checking every byte.
 
     Args:
-        path: Their file.
-        of: The episode they are to belong to, to the bit.
-        settings: Digest of the settings file that they are to have been rendered with.
-        layout: What they are to hold of each control step.
+        path: The file.
+        of: The episode that they must have been rendered from, bit for bit; None for any.
+        settings: Digest of the settings file that they must have been rendered with; None for any.
+        layout: The arrays that they must contain; None for any.
 
     Raises:
         FileNotFoundError: There are none.
-        DamagedFileError: The file was altered or cut off, holds something else, or is of another recording or other
-            settings.
+        DamagedFileError: The file was altered or truncated, contains something else, or was rendered from another
+            recording or with other settings.
     """
     data = read_file(path, at_most=LONGEST, remedy=REMEDY)
     check_seal(path, data, remedy=REMEDY)
@@ -87,15 +87,15 @@ def read_observations(
             return _read_arrays(file, layout, len(of) if of is not None else None)
     except DamagedFileError:
         raise
-    except MALFORMED as error:
+    except MALFORMED_FILE_ERRORS as error:
         raise DamagedFileError(path, f"its content cannot be read ({printable(error)})", remedy=REMEDY) from error
 
 
 def _read_arrays(file: Any, layout: Layout | None, length: int | None) -> dict[str, NDArray[Any]]:
-    """Read every array of an open file, after a look at what it claims to be.
+    """Read every array of an open file, after checking what it claims to be.
 
     Raises:
-        ValueError: Something is missing, too much, too large, or of another shape or type.
+        ValueError: An array is missing, unexpected, too large, or of another shape or type.
     """
     found: dict[str, Any] = {}
     file.visititems(lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None)
@@ -107,7 +107,7 @@ def _read_arrays(file: Any, layout: Layout | None, length: int | None) -> dict[s
 
 
 def _check_layout(found: Mapping[str, Any], layout: Layout, length: int | None) -> None:
-    """Compare what there is with what there is to be; where no length is given, the first array tells it."""
+    """Compare the arrays with the expected ones; where no length is given, all must be as long as the first."""
     if odd := sorted(set(found) ^ set(layout)):
         raise ValueError(f"{printable(odd[0])} is {'missing' if odd[0] in layout else 'none of its arrays'}")
     for name, (shape, kind) in layout.items():

@@ -1,4 +1,4 @@
-"""What cameras would have seen of an episode, rendered afterwards: colour, depth, segmentation, point clouds."""
+"""What cameras would have seen during an episode, rendered afterwards: colour, depth, segmentation, point clouds."""
 
 from __future__ import annotations
 
@@ -16,23 +16,31 @@ from numpy.typing import NDArray
 from dynaforge.demos.episode import Episode
 from dynaforge.demos.episode_file import SUFFIX
 from dynaforge.demos.observation_file import REMEDY, SETTINGS, Layout, read_observations, write_observations
-from dynaforge.demos.untrusted import MALFORMED, NOTES, DamagedFileError, kind_of, parse_json, printable, read_file
+from dynaforge.demos.untrusted import (
+    MALFORMED_FILE_ERRORS,
+    NOTES,
+    DamagedFileError,
+    kind_of,
+    parse_json,
+    printable,
+    read_file,
+)
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import Array
 from dynaforge.sim.camera import Camera, Image, world_points
 from dynaforge.tasks import Task
 
-if TYPE_CHECKING:  # whoever only reads observations does without physics
+if TYPE_CHECKING:  # reading observations alone must not import physics
     from dynaforge.sim import SimScene
 
-WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: everything the tasks reach, above the table
+WORKSPACE = ((0.0, -0.65, 0.002), (0.95, 0.65, 0.75))  # metres: all that the tasks reach, above the table
 FOLDER = "observations"
 _CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 WRIST = Camera("wrist", (0.08, 0.0, -0.12), (0.0, 0.0, 0.03), up=(1.0, 0.0, 0.0), in_hand=True, fov=70.0)
 
 
 def standard_cameras(task: Task) -> dict[str, Camera]:
-    """Return the cameras that every task has, by name: where its clips are filmed from, its mirror, and the hand."""
+    """Return the cameras of every task, by name: the one that films its clips, its mirror, and one at the hand."""
     eye, look_at = task.camera
     return {
         "front": Camera("front", eye, look_at),
@@ -43,11 +51,11 @@ def standard_cameras(task: Task) -> dict[str, Camera]:
 
 @dataclass(frozen=True, slots=True)
 class ObservationSettings:
-    """What is rendered of each control step.
+    """What is rendered at each control step.
 
     Attributes:
-        cameras: From where.
-        images: Keep colour, depth and segmentation of each camera.
+        cameras: The cameras.
+        images: Whether to keep colour, depth and segmentation of each camera.
         points: Size of the point cloud of all cameras together; 0 for none.
         workspace: Corners of the box that the points are cropped to, metres, world frame.
     """
@@ -59,7 +67,7 @@ class ObservationSettings:
 
     def __post_init__(self) -> None:
         names = [camera.name for camera in self.cameras]
-        for name in names:  # becomes part of names of files and of arrays, and settings may come from anybody
+        for name in names:  # it becomes part of names of files and arrays, and settings may come from anybody
             if not isinstance(name, str) or not _CAMERA_NAME.fullmatch(name) or name in ("points", "point_colors"):
                 raise ValueError(f"{name!r} is no name for a camera; take letters and digits, with . _ - between.")
         if not names or len(set(names)) < len(names):
@@ -69,7 +77,7 @@ class ObservationSettings:
 
     @property
     def layout(self) -> Layout:
-        """Shape of one control step and type of each array."""
+        """Shape at one control step and type of each array."""
         found: dict[str, tuple[tuple[int, ...], str]] = {}
         for camera in self.cameras:
             width, height = camera.size
@@ -85,7 +93,7 @@ class ObservationSettings:
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON data, with the intrinsics for readers that know no field of view."""
+        """Return plain JSON data, including the intrinsics, for readers that do not use a field of view."""
         cameras = [camera.to_dict() | {"intrinsics": camera.intrinsics.tolist()} for camera in self.cameras]
         return {"cameras": cameras, "images": self.images, "points": self.points, "workspace": self.workspace}
 
@@ -94,7 +102,7 @@ class ObservationSettings:
         """Read what `to_dict` wrote.
 
         Raises:
-            ValueError: It is something else.
+            ValueError: The data does not describe settings.
         """
         try:
             cameras = tuple(
@@ -107,7 +115,7 @@ class ObservationSettings:
 
 
 class ObservationRenderer:
-    """Simulates episodes of one task again and takes pictures on the way.
+    """Simulates episodes of one task again and renders them on the way.
 
     Args:
         task: The task.
@@ -115,8 +123,8 @@ class ObservationRenderer:
     """
 
     def __init__(self, task: Task, settings: ObservationSettings) -> None:
-        self._views = Views(settings)
-        from dynaforge.demos.replay import Replayer  # here: whoever only reads observations does without physics
+        self._views = CameraViews(settings)
+        from dynaforge.demos.replay import Replayer  # here, since reading observations alone must not import physics
 
         self._replayer = Replayer(task, visuals="plain")
 
@@ -126,10 +134,10 @@ class ObservationRenderer:
         `<camera>/rgb` (T, H, W, 3) uint8, `<camera>/depth` (T, H, W) uint16 in tenths of a millimetre,
         `<camera>/segmentation` (T, H, W) int8, `<camera>/position` (T, 3) and `<camera>/quat_wxyz` (T, 4) of the
         optical frame in the world; `points` (T, P, 3) float16, metres, world frame, and `point_colors` (T, P, 3) uint8,
-        both zero at a step at which no camera sees a point of the workspace.
+        both zero at a step where no camera sees a point of the workspace.
 
         Raises:
-            ImportError: `fpsample`, of the `[data]` extra, is missing and points are wanted.
+            ImportError: Points are asked for and `fpsample`, of the `[data]` extra, is missing.
             ValueError: The episode cannot be simulated again, its replay leaves the recording, or no camera ever sees
                 a point of the workspace.
         """
@@ -142,7 +150,7 @@ class ObservationRenderer:
         return {name: np.stack(column) for name, column in columns.items()}
 
     def names(self) -> list[str]:
-        """Return the names that the numbers of a segmentation stand for, in order."""
+        """Return what the numbers in a segmentation stand for, in order."""
         return list(self._replayer.scene.names)
 
     def close(self) -> None:
@@ -150,8 +158,8 @@ class ObservationRenderer:
         self._replayer.close()
 
 
-class Views:
-    """What cameras see of a scene now, which must have been loaded with visuals="plain".
+class CameraViews:
+    """What cameras see of a scene in its present state; the scene must have been loaded with visuals="plain".
 
     Args:
         settings: What to render.
@@ -160,13 +168,12 @@ class Views:
     def __init__(self, settings: ObservationSettings) -> None:
         self._settings = settings
         self._low, self._high = (np.array(corner) for corner in settings.workspace)
-        self._thin = farthest_points if settings.points else None
 
     def of(self, scene: SimScene) -> Iterator[tuple[str, Any]]:
-        """Yield name and array of each view, as `ObservationRenderer.render` stacks them.
+        """Yield name and array of each quantity, as `ObservationRenderer.render` stacks them.
 
         Args:
-            scene: What to look at.
+            scene: The scene.
         """
         images = [scene.image(camera) for camera in self._settings.cameras]
         for camera, image in zip(self._settings.cameras, images, strict=True):
@@ -176,30 +183,33 @@ class Views:
                 yield f"{camera.name}/segmentation", image.segmentation
             yield f"{camera.name}/position", image.pose.position
             yield f"{camera.name}/quat_wxyz", image.pose.quat_wxyz
-        if self._thin is not None:
+        if self._settings.points:
             points, colors = self._cropped(images)
             if not len(points):
                 points, colors = np.zeros((1, 3)), np.zeros((1, 3), np.uint8)
-            kept = self._thin(points, self._settings.points)
+            kept = farthest_points(points, self._settings.points)
             yield "points", points[kept].astype(np.float16)
             yield "point_colors", colors[kept]
 
     def _cropped(self, images: list[Image]) -> tuple[Array, NDArray[np.uint8]]:
         clouds, colors = [], []
         for camera, image in zip(self._settings.cameras, images, strict=True):
-            points, seen = world_points(camera, image)
-            inside = seen & (points > self._low).all(axis=-1) & (points < self._high).all(axis=-1)
+            points, visible = world_points(camera, image)
+            inside = visible & (points > self._low).all(axis=-1) & (points < self._high).all(axis=-1)
             clouds.append(points[inside])
             colors.append(image.rgb[inside])
         return np.concatenate(clouds), np.concatenate(colors)
 
 
 def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
-    """Choose n points that lie far apart (farthest-point sampling from the first); all of them, and again, if fewer.
+    """Choose n points that lie far apart, by farthest-point sampling from the first; fewer points are repeated.
 
     Args:
         points: Shape (M, 3).
-        n: How many.
+        n: How many to choose.
+
+    Returns:
+        Indices of the chosen points, shape (n,).
 
     Raises:
         ImportError: `fpsample` is missing.
@@ -213,7 +223,7 @@ def farthest_points(points: Array, n: int) -> NDArray[np.int64]:
         raise ValueError("There is no point to choose from.")
     if len(points) <= n:
         return np.resize(np.arange(len(points)), n)
-    height = min(5, len(points).bit_length() - 1)  # of its tree, which needs as many points as leaves
+    height = min(5, len(points).bit_length() - 1)  # of its tree, which must not have more leaves than there are points
     chosen = fpsample.bucket_fps_kdline_sampling(points.astype(np.float32), n, h=height, start_idx=0)
     return np.asarray(chosen, dtype=np.int64)
 
@@ -223,12 +233,12 @@ class ObservationFolder:
 
     Args:
         path: The folder; by default `observations/` of the dataset.
-        settings: What it is to hold; it is created if need be. None opens what is there, for reading.
+        settings: What it is to contain; it is created if need be. None opens an existing folder, for reading.
 
     Raises:
-        FileNotFoundError: No settings were given and the folder holds none.
+        FileNotFoundError: No settings were given and the folder contains none.
         DamagedFileError: It is no folder, or its settings cannot be read.
-        ValueError: The folder holds observations with other settings.
+        ValueError: The folder contains observations with other settings.
     """
 
     def __init__(self, path: str | Path, settings: ObservationSettings | None = None) -> None:
@@ -248,15 +258,21 @@ class ObservationFolder:
         self._digest = hashlib.sha256(text).hexdigest()[:16]
 
     def file_of(self, episode_id: str) -> Path:
-        """Return where the observations of an episode are, or would be."""
+        """Return where the observations of an episode are, or would be, stored."""
         return self.path / f"{episode_id}{SUFFIX}"
 
     def missing(self, episode_ids: list[str]) -> list[str]:
-        """Return those of which nothing is rendered yet."""
+        """Return the ids of the episodes that are not rendered yet."""
         return [name for name in episode_ids if not self.file_of(name).is_file()]
 
     def write(self, episode: Episode, arrays: Mapping[str, NDArray[Any]], names: list[str]) -> None:
-        """Write the observations of an episode, as `ObservationRenderer` made them with these settings."""
+        """Write the observations of an episode.
+
+        Args:
+            episode: The recording that was rendered.
+            arrays: What `ObservationRenderer.render` returned, with the settings of this folder.
+            names: What the numbers in the segmentations stand for.
+        """
         write_observations(self.file_of(episode.id), episode, arrays, names=names, settings=self._digest)
 
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
@@ -264,19 +280,19 @@ class ObservationFolder:
         return read_observations(self.file_of(episode_id), settings=self._digest, layout=self.settings.layout)
 
     def of(self, episode: Episode) -> dict[str, NDArray[Any]]:
-        """Read the observations of this very recording.
+        """Read the observations of a recording, and of no other with the same id.
 
         Raises:
             FileNotFoundError, DamagedFileError: As `read_observations`.
         """
-        layout = self.settings.layout if len(episode) else None  # nothing was rendered of no step
+        layout = self.settings.layout if len(episode) else None  # an episode without steps has no arrays
         return read_observations(self.file_of(episode.id), of=episode, settings=self._digest, layout=layout)
 
 
 def _settings(path: Path, text: bytes) -> ObservationSettings:
     try:
         return ObservationSettings.from_dict(parse_json(text))
-    except MALFORMED as error:
+    except MALFORMED_FILE_ERRORS as error:
         raise DamagedFileError(
             path, f"it holds no settings ({printable(error)})", remedy=f"{REMEDY} everything"
         ) from error

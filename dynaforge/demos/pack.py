@@ -1,7 +1,7 @@
 """A disposable copy of a dataset for training: memory-mapped arrays, all episodes one after another.
 
-A dataset's own files are made to be kept; reading two frames out of one takes milliseconds. From the pack it takes
-hundredths of one. It can be deleted and made again at any time.
+The files of a dataset are made to be kept: reading two frames from one takes milliseconds. From a pack it takes
+hundredths of a millisecond. A pack can be deleted and made again at any time.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos.exporters.frames import Frames
-from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, kind_of, printable, read_json
+from dynaforge.demos.untrusted import MALFORMED_FILE_ERRORS, DamagedFileError, kind_of, printable, read_json
 
-ABOUT = "pack.json"
-ENDS = "episode_ends"
-LONGEST = 10_000  # frames that a window may reach to either side: no episode is as long
+METADATA = "pack.json"
+EPISODE_ENDS = "episode_ends"
+LONGEST = 10_000  # frames that a window may extend to either side: longer than any episode
 MOST_EPISODES = 10**7
 REMEDY = "write the pack"  # how a damaged file is made again
 
@@ -35,30 +35,32 @@ class Pack:
     A pack pickles as the name of its folder, so that workers of a data loader open the same files.
 
     Attributes:
-        folder: Where it is.
-        arrays: `state` (N, 15), `action` (N, A), `dq` (N, 7), `phase` (N), `gate` (N), `contact` (N, 2), and `points`
-            (N, P, 3) where rendered, by name.
+        folder: Its folder.
+        arrays: By name: `state` (N, 15), `action` (N, A), `dq` (N, 7), `phase` (N), `gate` (N), `contact` (N, 2), and
+            `points` (N, P, 3) if they were rendered.
         episode_ends: Index of the first frame after each episode, shape (E,).
         action_names: Names of the components of an action.
 
     Args:
-        folder: As `Pack.write` left it.
+        folder: A folder that `Pack.write` made.
 
     Raises:
-        FileNotFoundError: It holds no pack.
-        DamagedFileError: A file of it cannot be read, or does not fit the others.
+        FileNotFoundError: It contains no pack.
+        DamagedFileError: One of its files cannot be read, or does not fit the others.
     """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder).absolute()
-        self.action_names, names = _about(self.folder)
+        self.action_names, names = _read_metadata(self.folder)
         self.arrays = {name: _open(self.folder, name) for name in names}
-        ends = _open(self.folder, ENDS)
+        ends = _open(self.folder, EPISODE_ENDS)
         self.episode_ends: NDArray[np.int64] = np.array(ends[:MOST_EPISODES])
         lengths = np.diff(self.episode_ends, prepend=0)
         frames = {name: len(array) for name, array in self.arrays.items()}
         if self.episode_ends.dtype != np.int64 or not len(lengths) or (lengths <= 0).any():
-            raise DamagedFileError(self.folder / f"{ENDS}.npy", "it is no list of increasing ends", remedy=REMEDY)
+            raise DamagedFileError(
+                self.folder / f"{EPISODE_ENDS}.npy", "it is no list of increasing ends", remedy=REMEDY
+            )
         if odd := [name for name, n in frames.items() if n != self.episode_ends[-1]]:
             reason = f"it holds {frames[odd[0]]} frames, the episodes {self.episode_ends[-1]}"
             raise DamagedFileError(self.folder / f"{odd[0]}.npy", reason, remedy=REMEDY)
@@ -73,10 +75,10 @@ class Pack:
         return Pack, (str(self.folder),)
 
     def window(self, name: str, frame: int, *, before: int, after: int) -> NDArray[Any]:
-        """Read frames `frame - before` to `frame + after`; beyond an end of the episode its own end is repeated.
+        """Read frames `frame - before` to `frame + after`; beyond an end of the episode, its end frame is repeated.
 
         Args:
-            name: Of an array.
+            name: Name of an array.
             frame: Index of a frame, 0 to len - 1.
             before, after: Frames on either side, at most 10000.
 
@@ -84,7 +86,7 @@ class Pack:
             KeyError: There is no such array.
             IndexError: There is no such frame.
             ValueError: `before` or `after` is negative, or longer than any episode.
-            TypeError: One of the three is no whole number.
+            TypeError: `frame`, `before` or `after` is no whole number.
         """
         if name not in self.arrays:
             close = difflib.get_close_matches(str(name), self.arrays, n=1)
@@ -104,16 +106,24 @@ class Pack:
 
     @staticmethod
     def write(folder: str | Path, episodes: Iterable[Frames]) -> Pack:
-        """Write a pack; one already there is replaced once the new one is whole.
+        """Write a pack; an existing one is replaced once the new one is complete.
 
-        Episode by episode: all of them together may not fit into memory.
+        Episodes are written one by one, since all together may not fit into memory.
+
+        Args:
+            folder: New, empty, or that of an earlier pack.
+            episodes: What to pack, such as `read_frames` returns.
 
         Raises:
             FileExistsError: The folder holds something else.
             ValueError: There is no episode, or some have points and some have none.
         """
         folder = Path(folder)
-        if folder.exists() and not (folder / ABOUT).is_file() and not (folder.is_dir() and not any(folder.iterdir())):
+        if (
+            folder.exists()
+            and not (folder / METADATA).is_file()
+            and not (folder.is_dir() and not any(folder.iterdir()))
+        ):
             raise FileExistsError(f"{folder} holds something other than a pack. Choose another folder.")
         temporary = folder.with_name(f".{folder.name}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
@@ -130,37 +140,37 @@ class Pack:
 def _write(folder: Path, episodes: Iterable[Frames]) -> None:
     lengths: list[int] = []
     names: tuple[str, ...] = ()
-    arrays: dict[str, _Growing] = {}
+    arrays: dict[str, _GrowingArray] = {}
     with contextlib.ExitStack() as files:
         for episode in episodes:
             rows = dict(_rows(episode))
             if not lengths:
-                arrays = {name: files.enter_context(_growing(folder, name, row)) for name, row in rows.items()}
+                arrays = {name: files.enter_context(_growing_array(folder, name, row)) for name, row in rows.items()}
             if rows.keys() != arrays.keys():
                 raise ValueError("Some demonstrations were rendered and some were not; run dynaforge render again.")
             for name, row in rows.items():
                 arrays[name].add(row)
             lengths.append(len(episode))
             names = episode.action_names
-            del episode, rows, row  # or they lived on while the next is read
+            del episode, rows, row  # free their memory before the next is read
     if not lengths:
         raise ValueError("There is no demonstration to pack.")
-    np.save(folder / f"{ENDS}.npy", np.cumsum(lengths, dtype=np.int64))
-    (folder / ABOUT).write_text(json.dumps({"arrays": list(arrays), "action_names": names}))
+    np.save(folder / f"{EPISODE_ENDS}.npy", np.cumsum(lengths, dtype=np.int64))
+    (folder / METADATA).write_text(json.dumps({"arrays": list(arrays), "action_names": names}))
 
 
 def _rows(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
     yield from episode.low_dimensional.items()
     if episode.points is not None:
-        yield "points", episode.points.astype(np.float16)  # 0.24 mm at most, half the size
+        yield "points", episode.points.astype(np.float16)  # half the size, at an error of 0.24 mm at most
 
 
-class _Growing:
-    """A .npy file that rows are added to: numpy leaves room in its header for the number of rows.
+class _GrowingArray:
+    """A .npy file that rows are appended to: numpy leaves room in its header for the number of rows.
 
     Args:
-        file: Open for writing, empty.
-        like: An array of the same type and shape but for the number of rows.
+        file: An empty file, open for writing.
+        like: An array of the same type, and of the same shape apart from the number of rows.
     """
 
     def __init__(self, file: BinaryIO, like: NDArray[Any]) -> None:
@@ -168,12 +178,12 @@ class _Growing:
         self._write_header()
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Add rows at the end."""
+        """Append rows."""
         self._file.write(np.ascontiguousarray(rows, dtype=self._like.dtype).tobytes())
         self._n += len(rows)
 
     def finish(self) -> None:
-        """Write into the header how many rows there are."""
+        """Write the number of rows into the header."""
         self._file.seek(0)
         self._write_header()
 
@@ -184,38 +194,40 @@ class _Growing:
 
 
 @contextlib.contextmanager
-def _growing(folder: Path, name: str, like: NDArray[Any]) -> Iterator[_Growing]:
+def _growing_array(folder: Path, name: str, like: NDArray[Any]) -> Iterator[_GrowingArray]:
     with (folder / f"{name}.npy").open("wb") as file:
-        array = _Growing(file, like)
+        array = _GrowingArray(file, like)
         yield array
         array.finish()
 
 
-def _about(folder: Path) -> tuple[tuple[str, ...], list[str]]:
-    """Return the names of an action's components, and of the arrays."""
-    path = folder / ABOUT
+def _read_metadata(folder: Path) -> tuple[tuple[str, ...], list[str]]:
+    """Return the names of the components of an action, and of the arrays."""
+    path = folder / METADATA
     try:
         data = read_json(path, remedy=REMEDY)
     except FileNotFoundError:
         raise FileNotFoundError(f"{printable(folder)} holds no pack.") from None
-    actions, arrays = (data.get("action_names"), data.get("arrays")) if isinstance(data, dict) else (None, None)
-    if not (
-        isinstance(actions, list) and isinstance(arrays, list) and all(isinstance(n, str) for n in actions + arrays)
-    ):
+    if not isinstance(data, dict) or not all(_is_list_of_names(data.get(key)) for key in ("action_names", "arrays")):
         raise DamagedFileError(path, "it does not describe a pack", remedy=REMEDY)
+    arrays: list[str] = data["arrays"]
     if odd := [name for name in arrays if not re.fullmatch(r"[A-Za-z_]+", name)]:
         raise DamagedFileError(path, f"{odd[0]!r:.80} is no name of an array", remedy=REMEDY)
-    return tuple(actions), arrays
+    return tuple(data["action_names"]), arrays
+
+
+def _is_list_of_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
 def _open(folder: Path, name: str) -> NDArray[Any]:
-    """Map an array into memory, without reading it."""
+    """Map an array into memory without reading it."""
     path = folder / f"{name}.npy"
     if (kind := kind_of(path)) != "a file":
         raise DamagedFileError(path, f"it is {kind or 'missing'}", remedy=REMEDY)
     try:
         array: NDArray[Any] = np.load(path, mmap_mode="r")
-    except MALFORMED as error:
+    except MALFORMED_FILE_ERRORS as error:
         raise DamagedFileError(path, f"it is no array ({printable(error)})", remedy=REMEDY) from error
     if array.ndim < 1 or array.dtype.kind not in "biuf":
         raise DamagedFileError(path, "it is no array of numbers", remedy=REMEDY)

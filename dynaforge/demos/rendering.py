@@ -1,4 +1,4 @@
-"""Rendering the observations of a dataset on all cores, from its recordings."""
+"""Rendering of the observations of a dataset from its recordings, in worker processes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dynaforge.sampling.processes import worker_pool
 from dynaforge.sim.camera import Camera
 from dynaforge.tasks import Task
 
-EPISODES_PER_CHUNK = 8  # handed to a worker at a time
+EPISODES_PER_CHUNK = 8  # episodes that a worker is given at a time
 
 
 def render_episodes(
@@ -23,13 +23,13 @@ def render_episodes(
 
     Args:
         dataset: Folder of the recordings.
-        folder: Where the observations go; its settings say what is rendered.
+        folder: Where the observations are written; its settings say what is rendered.
         task: The dataset's task.
-        ids: The episodes.
-        workers: Processes.
+        ids: Ids of the episodes.
+        workers: Number of processes.
 
     Yields:
-        The id of each episode when it is done, and why it could not be rendered; "" if it was.
+        The id of each episode once it is done, and why it could not be rendered; "" if it was.
 
     Raises:
         OSError: An observation cannot be written.
@@ -41,7 +41,7 @@ def render_episodes(
 
 
 def require_point_sampling() -> None:
-    """Check for the package that samples point clouds, without importing it.
+    """Check that the package that samples point clouds is installed, without importing it.
 
     Raises:
         ImportError: It is not installed.
@@ -51,10 +51,10 @@ def require_point_sampling() -> None:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Return the cameras of a JSON file, by name.
+    """Return the cameras that a JSON file lists, by name.
 
     Raises:
-        ValueError: The file lists none, or what is wrong with one.
+        ValueError: The file lists no camera, or one of them is malformed.
     """
     listed = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(listed, list) or not listed:
@@ -65,7 +65,8 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     return cameras
 
 
-_renderer: ObservationRenderer | None = None  # these three of a worker process
+# The state of a worker process:
+_renderer: ObservationRenderer | None = None
 _dataset: DemonstrationDataset | None = None
 _folder: ObservationFolder | None = None
 
@@ -85,5 +86,5 @@ def _render(name: str) -> str:
         arrays = _renderer.render(episode)
     except (ValueError, OSError) as error:
         return str(error)
-    _folder.write(episode, arrays, _renderer.names())  # outside the try: a full disk ends the whole rendering
+    _folder.write(episode, arrays, _renderer.names())  # outside the try, since a full disk must end the rendering
     return ""

@@ -1,4 +1,4 @@
-"""Replaying an episode: the same condition and the same joint references must give the same bits."""
+"""Replay of an episode: the same condition and the same joint references must give the same states, bit for bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Divergence:
 
     Attributes:
         step: Index of the control step.
-        quantity: Name in the schema.
+        quantity: Its name in the schema.
         difference: Largest absolute difference of its components.
     """
 
@@ -39,7 +39,7 @@ class Replay:
 
     Attributes:
         divergence: Where it first left the recording; None when every bit agrees.
-        success: Whether the task's success had been held for long enough at its end.
+        success: Whether the task's success predicate had been true for the required time at the end.
     """
 
     divergence: Divergence | None
@@ -47,11 +47,11 @@ class Replay:
 
 
 class Replayer:
-    """Runs recorded joint references through a scene of its own; use it for many episodes of one task.
+    """Simulates recorded joint references in a scene of its own; use one for many episodes of a task.
 
     Args:
-        task: The task that the episodes are of.
-        visuals: Load visual shapes, as `SimScene` takes them; physics is the same.
+        task: The task of the episodes.
+        visuals: Which visual shapes to load, as in `SimScene`; physics does not depend on it.
     """
 
     def __init__(self, task: Task, *, visuals: Visuals = False) -> None:
@@ -66,19 +66,20 @@ class Replayer:
         """
         states = self.states(episode)
         start = next(states)
-        judge, success, divergence = SuccessJudge(self.task, start), False, first_difference(episode, 0, start)
+        judge, success = SuccessJudge(self.task, start), False
+        divergence = first_difference(episode, 0, start)
         for step, state in enumerate(states, 1):
             divergence = divergence or first_difference(episode, step, state)
             success = judge.push(state)
         return Replay(divergence, success)
 
     def states(self, episode: Episode) -> Iterator[SceneState]:
-        """Simulate an episode again: yields the state at the beginning of each step and the one after the last.
+        """Simulate an episode again and yield the state at the beginning of each step, and the one after the last.
 
-        While the caller looks at a state, `scene` is in it.
+        `scene` is in the state that was yielded last.
 
         Raises:
-            ValueError: As `replay`.
+            ValueError: As for `replay`.
         """
         references = [episode.steps.get(name) for name in ("joint_reference", "width_reference")]
         if len(episode) and any(column is None for column in references):
@@ -88,12 +89,12 @@ class Replayer:
             yield self.scene.step(np.array(q), float(width))
 
     def recorded_states(self, episode: Episode) -> Iterator[SceneState]:
-        """Simulate an episode again: yields the state at the beginning of each step, after comparing it.
+        """Simulate an episode again and yield the state at the beginning of each step, once it is compared.
 
-        While the caller looks at a state, `scene` is in it.
+        `scene` is in the state that was yielded last.
 
         Raises:
-            ValueError: As `replay`, or a state differs from the recording.
+            ValueError: As for `replay`, or a state differs from the recording.
         """
         for step, state in zip(range(len(episode)), self.states(episode), strict=False):
             if divergence := first_difference(episode, step, state):
@@ -106,7 +107,16 @@ class Replayer:
 
 
 def first_difference(episode: Episode, step: int, state: SceneState) -> Divergence | None:
-    """Compare a state with the recording of a step; None where they agree, and after the last step."""
+    """Compare a state with a recording.
+
+    Args:
+        episode: The recording.
+        step: Index of the control step that begins with this state.
+        state: The simulated state.
+
+    Returns:
+        The first quantity that differs; None where all agree, and after the last step.
+    """
     if step >= len(episode):
         return None
     for name, value in _measured(state):

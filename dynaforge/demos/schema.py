@@ -21,11 +21,11 @@ class Field:
 
     Attributes:
         meaning: One sentence.
-        shape: Shape of one step, the leading T left out. A letter is a size the episode chooses, the same wherever
-            the letter stands.
-        dtype: How it is stored.
+        shape: Shape at one step, without the leading T. A letter stands for a size that the episode chooses, the same
+            for all quantities.
+        dtype: Type in which it is stored.
         unit: SI unit, "-" for none.
-        frame: Frame its components are written in, "-" for none.
+        frame: Frame in which its components are expressed, "-" for none.
     """
 
     meaning: str
@@ -75,7 +75,7 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
 """Names of `Episode.steps`. `<name>` stands for a body's name; names under `extra/` are free."""
 
 
-LONGEST_STEP = 10.0  # seconds: digests are made of every second, so a leap in time would cost memory
+LONGEST_STEP = 10.0  # seconds: there is a digest for every second, so a jump in time would cost memory
 _META: Mapping[str, tuple[str, Callable[[Any], bool]]] = {
     "phases": ("a list of names", lambda value: _all_text(value, list)),
     "state_digests": ("a list of digests", lambda value: _all_text(value, list)),
@@ -93,20 +93,20 @@ def _all_text(value: Any, kind: type[list[Any] | dict[Any, Any]]) -> bool:
 
 
 def check_meta(meta: Any) -> None:
-    """Make sure that what is known of `Episode.meta` is of its type; other names are free.
+    """Check the types of the known entries of `Episode.meta`; other names are free.
 
     Raises:
-        ValueError: It is not.
+        ValueError: An entry is of another type.
     """
     if not isinstance(meta, Mapping):
         raise ValueError("its meta is no mapping")
-    for name, (kind, holds) in _META.items():
-        if name in meta and not holds(meta[name]):
+    for name, (kind, fits) in _META.items():
+        if name in meta and not fits(meta[name]):
             raise ValueError(f"its {name} is {meta[name]!r:.80}, where {kind} is expected")
 
 
 def field_of(name: str) -> Field | None:
-    """Look a recorded name up; None for a free name under `extra/`.
+    """Return the field of a recorded name; None for a free name under `extra/`.
 
     Raises:
         ValueError: The name is not in the schema; the closest names are listed.
@@ -126,10 +126,10 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Check recorded arrays against the schema and return frozen C-ordered copies, sorted by name.
 
     Args:
-        steps: Arrays with leading dimension T, all the same T; `time` is needed as soon as there is any.
+        steps: Arrays with the same leading dimension T; `time` is required unless there are none.
 
     Raises:
-        ValueError: An unknown name, a wrong shape or type, unequal lengths, time that does not increase.
+        ValueError: A name is unknown, a shape or type is wrong, lengths differ, or time does not increase.
     """
     if odd := [name for name in steps if not isinstance(name, str)]:
         raise ValueError(f"Step quantity {odd[0]!r} has no name; names are texts.")
@@ -141,7 +141,7 @@ def validate_steps(steps: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         raise ValueError("Steps need 'time', the simulated seconds of each control step.")
     if not len(arrays["time"]):
         raise ValueError("Steps hold no control step; an attempt without any has no steps at all.")
-    with np.errstate(invalid="ignore"):  # infinity less infinity
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
         gaps = np.diff(arrays["time"], prepend=0.0)
     if not (np.all(gaps[1:] > 0.0) and np.all(np.abs(gaps) < LONGEST_STEP)):
         raise ValueError(f"Step quantity 'time' must increase from step to step, by less than {LONGEST_STEP:g} s.")
@@ -175,8 +175,8 @@ def _checked(name: str, value: Any, sizes: dict[str, int]) -> NDArray[Any]:
 def state_digests(steps: Mapping[str, NDArray[Any]]) -> list[str]:
     """Return a digest of the measured state at the beginning and after every second of simulated time.
 
-    It covers joint positions and velocities and all poses and twists, bit by bit: two recordings that agree in it
-    agree in their physics.
+    It covers joint positions and velocities and all poses and twists, bit for bit: two recordings with the same digests
+    have the same physics.
 
     Args:
         steps: As `Episode.steps`.

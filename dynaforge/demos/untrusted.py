@@ -1,4 +1,4 @@
-"""Reading files that a stranger may have made: nothing hangs, nothing fills the memory, every fault names its file."""
+"""Reading of files that a stranger may have made: nothing hangs or fills the memory, and every error names its file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 import math
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,28 +16,39 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-NOTES = 16 * 2**20  # bytes of a JSON file that are read at most
-LEVELS = 32  # of nested lists and mappings
-DIGITS = 300  # of a whole number, so that it can be turned into a float
+NOTES = 16 * 2**20  # bytes of the largest JSON file that is read
+LEVELS = 32  # of nesting, in JSON
+DIGITS = 300  # of a whole number in JSON, so that it can be converted to a float
 LINKS = 1000  # names in an HDF5 file
-FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}  # others may load code from the machine's plugin folder
+FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}  # others may load code from a plugin folder
 KINDS = {
-    stat.S_IFIFO: "a named pipe", stat.S_IFDIR: "a folder", stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFREG: "a file",
-}  # fmt: skip
-MALFORMED = (
-    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, RuntimeError, MemoryError,
-)  # fmt: skip
-"""What decoding bytes that mean something else may raise, in json, h5py and numpy."""
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFDIR: "a folder",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFREG: "a file",
+}
+MALFORMED_FILE_ERRORS = (
+    OSError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    LookupError,
+    ArithmeticError,
+    RuntimeError,
+    MemoryError,
+)
+"""What json, h5py and numpy may raise when they decode bytes that mean something else."""
 
 
 class DamagedFileError(ValueError):
-    """A file is not what was once written under its name; the message names it.
+    """A file does not contain what was once written to it; the message names the file.
 
     Args:
         path: The file.
         reason: What is wrong with it.
-        remedy: How it is made again, once deleted.
+        remedy: How it can be made again, once deleted.
     """
 
     def __init__(self, path: str | Path, reason: str, *, remedy: str = "collect") -> None:
@@ -52,12 +63,12 @@ class DamagedFileError(ValueError):
 
 
 def printable(text: object) -> str:
-    """Return a text as one line that no terminal obeys: control characters and lone surrogates are escaped."""
+    """Return a text as one line that is safe to print: control characters and lone surrogates are escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in str(text))
 
 
 def kind_of(path: Path) -> str:
-    """Say what lies at a path, links followed: "a file", "a folder", "a named pipe", ...; "" for nothing at all."""
+    """Return what exists at a path, links followed: "a file", "a folder", "a named pipe", ...; "" for nothing."""
     try:
         return KINDS.get(stat.S_IFMT(path.stat().st_mode), "something else")
     except FileNotFoundError:
@@ -71,38 +82,47 @@ def read_file(path: Path, *, at_most: int, remedy: str = "collect") -> bytes:
 
     Args:
         path: The file, or a link to it.
-        at_most: Bytes that are read; a longer file is refused before anything is.
-        remedy: How it is made again, for the message.
+        at_most: Bytes that are read at most; a longer file is refused before it is read.
+        remedy: How the file can be made again, for the message.
 
     Raises:
-        FileNotFoundError: There is nothing of this name.
-        DamagedFileError: It is no file, it cannot be read, or it is too long.
+        FileNotFoundError: Nothing exists at the path.
+        DamagedFileError: It is no file, cannot be read, or is too long.
     """
     with open_file(path, at_most=at_most, remedy=remedy) as file:
         try:
             return file.read()
-        except MALFORMED as error:
+        except MALFORMED_FILE_ERRORS as error:
             raise DamagedFileError(path, f"it cannot be read ({error})", remedy=remedy) from error
 
 
 @contextlib.contextmanager
 def open_file(path: Path, *, at_most: int, remedy: str = "collect") -> Iterator[BinaryIO]:
-    """Open a regular file for reading bytes; refusals as in `read_file`."""
+    """Open a regular file for reading bytes.
+
+    Args:
+        path: The file, or a link to it.
+        at_most: Bytes that it may have at most.
+        remedy: How the file can be made again, for the message.
+
+    Raises:
+        FileNotFoundError, DamagedFileError: As for `read_file`.
+    """
     kind = kind_of(path)
     if not kind:
         raise FileNotFoundError(f"There is no {printable(path)}.")
-    if kind != "a file":  # looked at before opening, since opening a device may do something
+    if kind != "a file":  # checked before opening, since opening a device may have an effect
         raise DamagedFileError(path, f"it is {kind}, not a file", remedy=remedy)
     try:
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except OSError as error:
         raise DamagedFileError(path, f"it cannot be read ({error.strerror})", remedy=remedy) from error
     with os.fdopen(descriptor, "rb") as file:
-        about = os.fstat(descriptor)
-        if not stat.S_ISREG(about.st_mode):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
             raise DamagedFileError(path, "it is no file any more", remedy=remedy)
-        if about.st_size > at_most:
-            reason = f"it is {about.st_size / 1e6:.0f} MB long, where {at_most / 1e6:.0f} MB are the most that is read"
+        if status.st_size > at_most:
+            reason = f"it is {status.st_size / 1e6:.0f} MB long, where {at_most / 1e6:.0f} MB are the most that is read"
             raise DamagedFileError(path, reason, remedy=remedy)
         yield file
 
@@ -121,10 +141,10 @@ def read_json(path: Path, *, remedy: str = "collect") -> Any:
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Parse JSON of finite numbers and bounded depth.
+    """Parse JSON with finite numbers and bounded depth.
 
     Raises:
-        ValueError: It is something else.
+        ValueError: The data is anything else.
     """
     if not data.strip():
         raise ValueError("it is empty")
@@ -134,15 +154,16 @@ def parse_json(data: bytes | str) -> Any:
         raise ValueError(f"nested in more than {LEVELS} levels") from None
     level = [found]
     for _ in range(LEVELS):
-        level = [
-            child
-            for item in level
-            if isinstance(item, (list, dict))
-            for child in (item.values() if isinstance(item, dict) else item)
-        ]
+        level = [child for item in level for child in _children(item)]
         if not level:
             return found
     raise ValueError(f"nested in more than {LEVELS} levels")
+
+
+def _children(item: Any) -> Iterable[Any]:
+    if isinstance(item, dict):
+        return item.values()
+    return item if isinstance(item, list) else ()
 
 
 def _no_number(text: str) -> float:
@@ -162,12 +183,12 @@ def _finite(text: str) -> float:
 
 
 def files_in(folder: Path, suffix: str = "", *, remedy: str = "collect") -> list[Path]:
-    """Return all that lies in a folder, sorted by name, whatever it is; nothing where the folder is missing.
+    """Return the paths of everything in a folder, sorted by name; none where the folder is missing.
 
     Args:
-        folder: Where to look.
-        suffix: How the names are to end.
-        remedy: How it is made again, for the message.
+        folder: The folder.
+        suffix: How the names must end.
+        remedy: How the folder can be made again, for the message.
 
     Raises:
         DamagedFileError: It is no folder, or cannot be read.
@@ -184,16 +205,16 @@ def files_in(folder: Path, suffix: str = "", *, remedy: str = "collect") -> list
 
 
 def check_links(file: Any) -> None:
-    """Make sure that all names in an open HDF5 file stand for something in that file.
+    """Check that all names in an open HDF5 file stand for data in that file.
 
     A soft link may lead in circles, an external one out of the file: neither is ever followed.
 
     Raises:
-        ValueError: A name does not, or there are too many.
+        ValueError: A name stands for a link, or there are too many names.
     """
     names = 0
 
-    def wrong(name: bytes, link: Any) -> str | None:  # HDF5 lets no exception through; an answer ends the visit
+    def wrong(name: bytes, link: Any) -> str | None:  # HDF5 lets no exception through; a return value ends the visit
         nonlocal names
         names += 1
         if names > LINKS:
@@ -210,7 +231,7 @@ def read_text(file: Any, name: str) -> str:
     """Read a text attribute at the root of an open HDF5 file.
 
     Raises:
-        ValueError: It is missing or no single text.
+        ValueError: It is missing or is not a single text.
     """
     if not h5py.h5a.exists(file.id, name.encode()):
         raise ValueError(f"it has no {name}")
@@ -222,7 +243,12 @@ def read_text(file: Any, name: str) -> str:
 
 
 def read_array(file: Any, name: str, *, at_most: int) -> NDArray[Any]:
-    """Read an array of plain numbers out of an open HDF5 file.
+    """Read an array of plain numbers from an open HDF5 file.
+
+    Args:
+        file: The file.
+        name: Name of the array.
+        at_most: Bytes that it may have at most.
 
     Raises:
         ValueError: It is missing, of another type, stored outside the file, or larger than `at_most` bytes.
@@ -243,7 +269,7 @@ def read_array(file: Any, name: str, *, at_most: int) -> NDArray[Any]:
 
 
 def _columns(dtype: np.dtype[Any]) -> Iterator[np.dtype[Any]]:
-    """Return the types of the columns of a table, of one level; of anything else its own."""
+    """Yield the types of the columns of a flat table; of any other array its own type."""
     for name in dtype.names or ():
         yield dtype[name].base
     if dtype.names is None:

@@ -1,4 +1,4 @@
-"""What can be wrong with a folder of demonstrations, found and named file by file."""
+"""Verification of a folder of demonstrations, file by file."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from dynaforge.demos.episode import Episode
 from dynaforge.demos.folder_checks import Finding, Notes, read_notes, verify_folder
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.demos.replay import Replayer
-from dynaforge.demos.untrusted import MALFORMED, DamagedFileError, printable
+from dynaforge.demos.untrusted import MALFORMED_FILE_ERRORS, DamagedFileError, printable
 from dynaforge.tasks import Task
 
 Render = Callable[[Episode], Mapping[str, NDArray[Any]]]
 
 
 class EpisodeVerifier:
-    """Checks one recording after the other, what was rendered of it, and its physics if that is asked for.
+    """Checks one recording after another: its content, its rendered observations and, if asked to, its physics.
 
     Args:
-        dataset: Where they are.
-        notes: What lies beside them.
-        task: Of which they are; without it their columns are not compared with each other.
+        dataset: The recordings.
+        notes: What the folder contains besides them.
+        task: Their task; without it their columns are not compared with each other.
         again: Makes an attempt again from its recording, as `dynaforge.generators.repeat.Repeater` does.
-        replayer: Simulates what an attempt made again does not repeat, and looks for deep overlaps.
-        audited: Look for motion that is not possible, too.
+        replayer: Replays an episode that `again` cannot repeat, and looks for deep overlaps.
+        audited: Whether to look for impossible motion too.
         render: Renders an episode again, as `ObservationRenderer.render` does with the settings of the folder.
     """
 
@@ -60,7 +60,7 @@ class EpisodeVerifier:
             self._motion_fits.append(lambda episode: map(str, audit(episode, replayer=replayer)))
 
     def __call__(self, name: str) -> list[Finding]:
-        """Check a recording by its id; whatever is wrong with it is a finding, and never an exception."""
+        """Check the recording with an id; whatever is wrong with it is a finding, never an exception."""
         path = self._dataset.file_of(name)
         try:
             episode = self._dataset[name]
@@ -68,9 +68,9 @@ class EpisodeVerifier:
             return [Finding(path, error.reason)]
         except KeyError:
             return [Finding(path, "it was there when the folder was listed, and is gone")]
-        with np.errstate(all="ignore"):  # what a forger writes may overflow
+        with np.errstate(all="ignore"):  # forged numbers may overflow
             problems = _problems(self._notes_fit, episode)
-            # Where numbers are missing, nothing that is said of the motion means anything.
+            # The motion is checked only where all numbers are finite.
             problems += _problems([checks.numbers], episode) or _problems(self._motion_fits, episode)
         return [Finding(path, problem) for problem in problems] + self._wrong_observations(episode)
 
@@ -83,21 +83,21 @@ class EpisodeVerifier:
             return []
         except DamagedFileError as error:
             return [Finding(error.path, error.reason)]
-        except MALFORMED as error:
+        except MALFORMED_FILE_ERRORS as error:
             path = self._observations.file_of(episode.id)
             return [Finding(path, f"it cannot be rendered again: {printable(error)}")]
 
 
 def wrong_observations(folder: ObservationFolder, episode: Episode, render: Render | None) -> list[Finding]:
-    """Check what was rendered of an episode, and compare it with what rendering gives now if that is asked for.
+    """Check the rendered observations of an episode and, if asked to, compare them with what rendering gives now.
 
     Args:
         folder: The rendered observations.
-        episode: Of which.
+        episode: The recording.
         render: Renders it again; None for no comparison.
 
     Raises:
-        FileNotFoundError, DamagedFileError: As `ObservationFolder.of`.
+        FileNotFoundError, DamagedFileError: As for `ObservationFolder.of`.
     """
     arrays = folder.of(episode)
     if render is None:
@@ -119,25 +119,27 @@ def verify(
     replayer: Replayer | None = None,
     audited: bool = False,
 ) -> Iterator[list[Finding]]:
-    """Check everything: yields the findings of the folder as a whole, then of each recording in turn.
+    """Check everything: yield the findings of the folder as a whole, then those of each recording in turn.
 
     Args:
         dataset: The folder.
-        task, again, replayer, audited: As `EpisodeVerifier`.
+        task: As for `EpisodeVerifier`.
+        again: As for `EpisodeVerifier`.
+        replayer: As for `EpisodeVerifier`.
+        audited: As for `EpisodeVerifier`.
     """
     notes = read_notes(dataset)
     yield verify_folder(dataset, notes, task)
-    yield from map(
-        EpisodeVerifier(dataset, notes, task=task, again=again, replayer=replayer, audited=audited), notes.names
-    )
+    check = EpisodeVerifier(dataset, notes, task=task, again=again, replayer=replayer, audited=audited)
+    yield from map(check, notes.names)
 
 
 def _problems(chosen: Sequence[checks.Check], episode: Episode) -> list[str]:
-    """Run each check to its end, or to where something in the recording stops it, which is a problem itself."""
+    """Run each check to its end, or to where the recording stops it with an error, which is a problem itself."""
     problems: list[str] = []
     for check in chosen:
         try:
             problems.extend(check(episode))
-        except MALFORMED as error:
+        except MALFORMED_FILE_ERRORS as error:
             problems.append(f"it cannot be checked to the end: {printable(error) or type(error).__name__}")
     return problems

@@ -9,16 +9,23 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dynaforge.generators.attempts import Result, attempt_once, run_attempts
     from dynaforge.generators.by_name import make_generator
-    from dynaforge.generators.collecting import Goal, Source, collect
-    from dynaforge.generators.generator import ConstantResidual, Exploring, Generator, PlannerOnly, ResidualGenerator
+    from dynaforge.generators.collecting import ConditionSource, Goal, collect
+    from dynaforge.generators.generator import (
+        ConstantResidual,
+        ExploringPolicy,
+        Generator,
+        PlannerOnly,
+        ResidualGenerator,
+    )
     from dynaforge.generators.giving_up import GaveUp
     from dynaforge.generators.learner import LearnerGenerator
     from dynaforge.generators.oracle import Oracle
     from dynaforge.sampling.processes import NoWorkers
 
 __all__ = [
+    "ConditionSource",
     "ConstantResidual",
-    "Exploring",
+    "ExploringPolicy",
     "GaveUp",
     "Generator",
     "Goal",
@@ -28,7 +35,6 @@ __all__ = [
     "PlannerOnly",
     "ResidualGenerator",
     "Result",
-    "Source",
     "attempt_once",
     "collect",
     "make_generator",
@@ -38,8 +44,8 @@ __all__ = [
 _MODULES = {
     "attempts": ("NoWorkers", "Result", "attempt_once", "run_attempts"),
     "by_name": ("make_generator",),
-    "collecting": ("Goal", "Source", "collect"),
-    "generator": ("ConstantResidual", "Exploring", "Generator", "PlannerOnly", "ResidualGenerator"),
+    "collecting": ("Goal", "ConditionSource", "collect"),
+    "generator": ("ConstantResidual", "ExploringPolicy", "Generator", "PlannerOnly", "ResidualGenerator"),
     "giving_up": ("GaveUp",),
     "learner": ("LearnerGenerator",),
     "oracle": ("Oracle",),

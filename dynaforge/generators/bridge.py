@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynaforge.demos.exporters.frames import STATE, contact_columns, object_columns, robot_columns
-from dynaforge.demos.observations import ObservationSettings, Views
+from dynaforge.demos.observations import CameraViews, ObservationSettings
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.generators.recording import measured
 from dynaforge.sim import Condition
@@ -40,7 +40,7 @@ class ExportBridge:
         check_kind("settings", settings, (ObservationSettings, type(None)))
         self.env = TaskEnv(task, **layout.env_arguments, visuals=False if settings is None else "plain")
         self.layout = layout
-        self._views = None if settings is None else Views(settings)
+        self._views = None if settings is None else CameraViews(settings)
         self._signs: dict[str, NDArray[Any]] | None = None  # of quaternions so far; no episode yet
 
     def reset(self, condition: Condition) -> dict[str, NDArray[Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from dynaforge.algos.policy_file import MlpPolicyFile
-from dynaforge.generators.generator import Exploring, Generator, PlannerOnly, ResidualGenerator
+from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.names import GENERATORS
 from dynaforge.generators.oracle import Oracle
@@ -45,7 +45,7 @@ def make_generator(
             return ResidualGenerator(trained, policy_hash=trained.digest)
         case "exploring":
             trained = policy_for(task, policy)
-            return ResidualGenerator(Exploring(trained, sigma), policy_hash=trained.digest, name=name)
+            return ResidualGenerator(ExploringPolicy(trained, sigma), policy_hash=trained.digest, name=name)
         case "oracle":
             return Oracle(m=oracle_tries)
         case "learner" if learner is not None:

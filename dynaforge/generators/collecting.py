@@ -64,7 +64,7 @@ class Goal:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ConditionSource:
     """Conditions to attempt: a block of a stream, or a share of it.
 
     Attributes:
@@ -76,7 +76,7 @@ class Source:
     shard: tuple[int, int] = (0, 1)
 
     def __post_init__(self) -> None:
-        check_whole("Source: block", self.block, least=0)
+        check_whole("ConditionSource: block", self.block, least=0)
         check_shard(self.shard)
 
     def conditions(self, task: Task) -> Iterator[Condition]:
@@ -90,7 +90,7 @@ def collect(
     generator: Generator,
     goal: Goal,
     *,
-    source: Source | None = None,
+    source: ConditionSource | None = None,
     workers: int | None = None,
     engine: Engine = run_attempts,
     on_attempt: Callable[[Attempt], None] = lambda attempt: None,
@@ -115,7 +115,7 @@ def collect(
             is malformed.
         GaveUp: So many attempts in a row failed that there is no hope, see `Goal`.
     """
-    source = Source() if source is None else source
+    source = ConditionSource() if source is None else source
     _check_arguments(dataset, task, goal, source, workers)
     dataset.note_source(generator.name, _provenance(generator, task))
     progress = _Progress(dataset, generator.name, goal, source.conditions(task), on_attempt)
@@ -130,7 +130,7 @@ def _check_arguments(dataset: object, task: object, goal: object, source: object
     check_kind("dataset", dataset, DemonstrationDataset)
     check_kind("task", task, Task)
     check_kind("goal", goal, Goal)
-    check_kind("source", source, Source)
+    check_kind("source", source, ConditionSource)
     if workers is not None:
         check_whole("workers", workers, least=1)
 

@@ -90,7 +90,7 @@ class ResidualGenerator:
 
 def episode_of(
     env: WorldEnv, recorder: Recorder, outcome: Outcome, condition: Condition, *, generator: str, policy_hash: str
-) -> Episode:  # fmt: skip
+) -> Episode:
     """Put together what was recorded of an attempt that has just ended.
 
     Args:
@@ -139,7 +139,7 @@ class ConstantResidual:
         return self.action
 
 
-class Exploring:
+class ExploringPolicy:
     """A policy with its exploration left on, Eq. 4; the noise is drawn from the observation, so episodes repeat.
 
     Args:

@@ -43,9 +43,13 @@ class Repeater:
         finally:
             world.listeners.remove(recorder)
         return episode_of(
-            self._env, recorder, outcome, episode.condition, generator=episode.generator,
+            self._env,
+            recorder,
+            outcome,
+            episode.condition,
+            generator=episode.generator,
             policy_hash=str(episode.meta.get("policy_hash", "")),
-        )  # fmt: skip
+        )
 
     def close(self) -> None:
         """Release physics; safe to call more than once."""

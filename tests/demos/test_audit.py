@@ -73,7 +73,7 @@ def ask_for_too_much_acceleration(steps: Columns) -> None:
 
 
 @pytest.mark.parametrize(
-    ("edit", "what"),
+    ("edit", "violation"),
     [
         (teleport, "can jumps 0.1"),
         (speed_up, "with nothing near it"),
@@ -84,10 +84,10 @@ def ask_for_too_much_acceleration(steps: Columns) -> None:
         (ask_for_too_much_acceleration, "asked for 1.50 of its acceleration limit"),
     ],
 )
-def test_an_edit_is_flagged_where_it_was_made(can: Episode, edit: Callable[[Columns], None], what: str) -> None:
+def test_an_edit_is_flagged_where_it_was_made(can: Episode, edit: Callable[[Columns], None], violation: str) -> None:
     steps = {name: column.copy() for name, column in can.steps.items()}
     edit(steps)
-    found = [flag for flag in audit.audit(replace(can, steps=steps)) if what in str(flag)]
+    found = [flag for flag in audit.audit(replace(can, steps=steps)) if violation in str(flag)]
     assert [flag.step for flag in found] in ([4], [5])
 
 
@@ -104,7 +104,7 @@ def test_a_lasting_overlap_is_flagged(can: Episode, monkeypatch: pytest.MonkeyPa
     flags = audit.audit(can, replayer=replayer)
     replayer.close()
     assert "robot and can overlap by up to" in " ".join(map(str, flags))
-    assert f"for {len(can) + 1} steps" in flags[0].what
+    assert f"for {len(can) + 1} steps" in flags[0].violation
 
 
 def test_verify_tells_of_flags(can: Episode, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,7 @@ from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import SCHEMA, state_digests
 from dynaforge.demos.verification import EpisodeVerifier, verify
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators import Exploring, ResidualGenerator
+from dynaforge.generators import ExploringPolicy, ResidualGenerator
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.repeat import Repeater
@@ -44,7 +44,7 @@ UNSEEN = {"dq", "width", "left_contact", "right_contact"} | {name for name in CO
 
 def recorded(task: Task, n: int) -> list[Episode]:
     env = ResidualEnv(task)
-    noisy = ResidualGenerator(Exploring(ConstantResidual(np.zeros(env.action_space.shape, np.float32)), 0.3))
+    noisy = ResidualGenerator(ExploringPolicy(ConstantResidual(np.zeros(env.action_space.shape, np.float32)), 0.3))
     episodes = [noisy.attempt(env, c) for c in islice(env.task.conditions.stream("val", n_strata=n), n)]
     env.close()
     return episodes

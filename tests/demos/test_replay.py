@@ -11,7 +11,7 @@ import pytest
 from dynaforge.demos import Episode
 from dynaforge.demos.replay import Replayer
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators import Exploring, PlannerOnly, ResidualGenerator
+from dynaforge.generators import ExploringPolicy, PlannerOnly, ResidualGenerator
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import get_task
@@ -20,7 +20,7 @@ from dynaforge.tasks import get_task
 def recorded(name: str, n: int) -> list[Episode]:
     """Record n episodes, by the planner and under noise in turn."""
     env, episodes = ResidualEnv(name), []
-    noisy = ResidualGenerator(Exploring(ConstantResidual(np.zeros(env.action_space.shape, np.float32)), 0.5))
+    noisy = ResidualGenerator(ExploringPolicy(ConstantResidual(np.zeros(env.action_space.shape, np.float32)), 0.5))
     for k, condition in enumerate(islice(env.task.conditions.stream("val", n_strata=n), n)):
         episodes.append((PlannerOnly(), noisy)[k % 2].attempt(env, condition))
     env.close()

@@ -10,15 +10,15 @@ import pytest
 
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.generators import Goal, PlannerOnly, Source, collect, run_attempts
+from dynaforge.generators import ConditionSource, Goal, PlannerOnly, collect, run_attempts
 from dynaforge.generators.attempts import failed_attempt
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
 
 
-def stream(n: int, source: Source | None = None) -> list[str]:
-    return [condition.id for condition in islice((source or Source()).conditions(CAN), n)]
+def stream(n: int, source: ConditionSource | None = None) -> list[str]:
+    return [condition.id for condition in islice((source or ConditionSource()).conditions(CAN), n)]
 
 
 def ids(attempts: list[Attempt]) -> list[str]:
@@ -26,9 +26,9 @@ def ids(attempts: list[Attempt]) -> list[str]:
 
 
 def test_shards_divide_the_stream() -> None:
-    shards = [stream(4, Source(0, (i, 3))) for i in range(3)]
+    shards = [stream(4, ConditionSource(0, (i, 3))) for i in range(3)]
     assert [shards[k % 3][k // 3] for k in range(12)] == stream(12)
-    assert not set(stream(12)) & set(stream(12, Source(1)))
+    assert not set(stream(12)) & set(stream(12, ConditionSource(1)))
 
 
 def test_an_interrupted_collection_goes_on_and_attempts_nothing_twice(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_an_interrupted_collection_goes_on_and_attempts_nothing_twice(tmp_path: 
 
 def test_what_is_missing_in_the_middle_is_attempted(tmp_path: Path) -> None:
     dataset = DemonstrationDataset(tmp_path, task="can")
-    for index, condition in enumerate(islice(Source().conditions(CAN), 4)):
+    for index, condition in enumerate(islice(ConditionSource().conditions(CAN), 4)):
         if index != 1:
             dataset.record(failed_attempt(condition, "planner_only", "x").attempt)
     done = collect(dataset, CAN, PlannerOnly(), Goal(None, 4), workers=1)
@@ -74,7 +74,7 @@ def won(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the two easiest conditions of some, which the planner wins."""
     folder = tmp_path_factory.mktemp("won")
     dataset = DemonstrationDataset(folder, task="can")
-    easy = sorted(islice(Source().conditions(CAN), 24), key=lambda condition: condition.difficulty)[:2]
+    easy = sorted(islice(ConditionSource().conditions(CAN), 24), key=lambda condition: condition.difficulty)[:2]
     for result in run_attempts(CAN, PlannerOnly(), easy, workers=1):
         assert result.episode is not None
         dataset.add(result.episode)
@@ -86,7 +86,7 @@ def test_a_goal_of_successes_counts_those_already_held(won: Path, tmp_path: Path
     shutil.copytree(won, tmp_path, dirs_exist_ok=True)
     dataset = DemonstrationDataset(tmp_path, task="can")
     attempt = dataset.attempts()[0]
-    source = Source(shard=(stream(24).index(attempt.condition.id), 24))
+    source = ConditionSource(shard=(stream(24).index(attempt.condition.id), 24))
     assert ids(collect(dataset, CAN, PlannerOnly(), Goal(1, None), source=source)) == [attempt.condition.id]
     assert len(dataset.ledger.path.read_text().splitlines()) == 2, "the held one was not made again"
 
@@ -100,7 +100,7 @@ def test_a_recording_that_was_deleted_is_made_again_to_the_bit(won: Path, tmp_pa
     whole = path.read_bytes()
     path.unlink()
     assert [lost.id for lost in dataset.missing_recordings()] == [attempt.id]
-    collect(dataset, CAN, PlannerOnly(), Goal(None, 1), source=Source(shard=(place, 24)), workers=1)
+    collect(dataset, CAN, PlannerOnly(), Goal(None, 1), source=ConditionSource(shard=(place, 24)), workers=1)
     assert path.read_bytes() == whole
     assert not dataset.missing_recordings()
     assert len(dataset.attempts()) == 2, "it is the same attempt"

@@ -8,7 +8,7 @@ import pytest
 from dynaforge.demos import Episode
 from dynaforge.demos.schema import validate_steps
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.generators import ConstantResidual, Exploring, Oracle, PlannerOnly, ResidualGenerator
+from dynaforge.generators import ConstantResidual, ExploringPolicy, Oracle, PlannerOnly, ResidualGenerator
 from dynaforge.geometry import matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
@@ -156,7 +156,7 @@ def test_generators_survive_pickling() -> None:
 
 def test_exploring_adds_noise_of_its_sigma_and_repeats_itself() -> None:
     observations = np.random.default_rng(0).normal(size=(4000, 3)).astype(np.float32)
-    exploring = Exploring(ConstantResidual(np.array([0.1, -0.2], np.float32)), 0.2)
+    exploring = ExploringPolicy(ConstantResidual(np.array([0.1, -0.2], np.float32)), 0.2)
     actions = np.array([exploring(observation) for observation in observations])
     np.testing.assert_allclose(actions.mean(axis=0), [0.1, -0.2], atol=0.02)
     np.testing.assert_allclose(actions.std(axis=0), 0.2, atol=0.02)

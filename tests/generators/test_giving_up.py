@@ -12,7 +12,7 @@ import pytest
 from dynaforge.cli import collect as command
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.generators import GaveUp, Goal, NoWorkers, PlannerOnly, Result, Source, collect
+from dynaforge.generators import ConditionSource, GaveUp, Goal, NoWorkers, PlannerOnly, Result, collect
 from dynaforge.generators.attempts import failed_attempt
 from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
@@ -49,7 +49,7 @@ def gather(
     folder: Path, goal: Goal, wins: Callable[[int], bool] = lambda k: False, **engine_options: int
 ) -> list[Attempt]:
     dataset = DemonstrationDataset(folder, task="can")
-    return collect(dataset, CAN, PlannerOnly(), goal, source=Source(), engine=engine(wins, **engine_options))
+    return collect(dataset, CAN, PlannerOnly(), goal, source=ConditionSource(), engine=engine(wins, **engine_options))
 
 
 def test_it_gives_up_with_the_commonest_reasons_and_keeps_what_was_attempted(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_what_an_earlier_run_found_counts_and_the_bound_may_be_moved(tmp_path: P
 def test_a_success_of_those_under_way_turns_back_from_giving_up(tmp_path: Path) -> None:
     attempts = gather(tmp_path, Goal(2, None, 10), lambda k: k in (25, 33), ahead=20)
     assert [k for k, attempt in enumerate(attempts) if attempt.success] == [25, 33]
-    stream = islice(Source().conditions(CAN), len(attempts))
+    stream = islice(ConditionSource().conditions(CAN), len(attempts))
     assert [attempt.condition.id for attempt in attempts] == [condition.id for condition in stream], "none is left out"
 
 
@@ -130,7 +130,7 @@ def test_workers_that_do_not_even_start_are_told_in_one_line(
 
 @pytest.mark.parametrize("n", [4, 500])
 def test_a_generator_that_only_raises_has_no_rate(n: int) -> None:
-    conditions = list(islice(Source().conditions(CAN), n))
+    conditions = list(islice(ConditionSource().conditions(CAN), n))
     raising = engine(lambda k: False, raising=True)(CAN, PlannerOnly(), conditions)
     with pytest.raises(GaveUp, match=rf"None of {min(n, 50)} attempts .*exception: OSError: gone"):
         list(refuse_if_all_raise(raising, generator="mine"))

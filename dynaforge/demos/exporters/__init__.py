@@ -25,13 +25,13 @@ Exporter = Callable[[Path, Task, Iterable[Frames]], int]
 
 
 def exporter(name: str) -> Exporter:
-    """Return what writes a format: called with folder, task and episodes, it returns how many it wrote.
+    """Return the function that writes a format: it takes a folder, a task and episodes, and returns how many it wrote.
 
-    It takes the episodes one by one and keeps none. The folder is new or empty, and whatever ends the writing early
-    leaves it as it was.
+    It reads the episodes one by one and keeps none. The folder must be new or empty; an export that ends early leaves
+    it as it was.
 
     Raises:
-        ValueError: No such format.
+        ValueError: There is no such format.
         ImportError: A library of the `[data]` extra is missing.
     """
     if name not in FORMATS:
@@ -40,15 +40,15 @@ def exporter(name: str) -> Exporter:
         module = import_module(f"dynaforge.demos.exporters.{name.replace('-', '_')}")
     except ImportError as error:
         raise ImportError(f"Format {name} needs {error.name}: pip install 'dynaforge[data]'.") from error
-    return partial(_whole, module.write)
+    return partial(_write_atomically, module.write)
 
 
-def _whole(write: Exporter, folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
-    """Write into a hidden folder beside the final names, and move what is whole to them."""
+def _write_atomically(write: Exporter, folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
+    """Write into a hidden folder beside the final files, and move them once all are complete."""
     new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    if held := sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")):
-        raise FileExistsError(f"{folder} holds {', '.join(held[:3])} already. Choose a new or empty folder.")
+    if existing := sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")):
+        raise FileExistsError(f"{folder} holds {', '.join(existing[:3])} already. Choose a new or empty folder.")
     unfinished = folder / UNFINISHED
     shutil.rmtree(unfinished, ignore_errors=True)  # of an export that was killed
     unfinished.mkdir()

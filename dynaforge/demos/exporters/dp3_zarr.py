@@ -16,31 +16,40 @@ from dynaforge.tasks import Task
 from dynaforge.tasks.action import JOINTS
 
 FOLDER = "demos.zarr"
-ROWS, BYTES = 100, 2**21  # control steps a chunk, unless it would be larger than so many bytes
+CHUNK_ROWS = 100  # control steps in a chunk, unless that makes it larger than CHUNK_BYTES
+CHUNK_BYTES = 2**21
 NEEDED = "Format dp3-zarr needs point clouds: dynaforge render FOLDER --points 1024."
 
 
 def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
-    """Write `demos.zarr`; returns the number of demonstrations.
+    """Write `demos.zarr` and return the number of demonstrations.
+
+    Args:
+        folder: Where to write.
+        task: The task.
+        episodes: What to write.
 
     Raises:
-        ValueError: There is none, or its points were not rendered.
+        ValueError: There is no demonstration, or its points were not rendered.
     """
     root = zarr.open_group(str(folder / FOLDER), mode="w", zarr_format=2)
     data, ends = root.create_group("data"), [0]
     for episode in episodes:
         for name, row in _arrays(episode):
             if name not in data:
-                rows = max(1, min(ROWS, BYTES // row[0].nbytes))
+                rows = max(1, min(CHUNK_ROWS, CHUNK_BYTES // row[0].nbytes))
                 data.create_array(
-                    name, shape=(0, *row.shape[1:]), chunks=(rows, *row.shape[1:]), dtype=row.dtype,
+                    name,
+                    shape=(0, *row.shape[1:]),
+                    chunks=(rows, *row.shape[1:]),
+                    dtype=row.dtype,
                     compressors=numcodecs.Blosc(cname="zstd", clevel=3, shuffle=numcodecs.Blosc.SHUFFLE),
-                )  # fmt: skip
+                )
             data[name].append(row)
         if len(ends) == 1:
             _describe(root, task, episode)
         ends.append(ends[-1] + len(episode))
-        del episode, row  # or they lived on while the next is read
+        del episode, row  # free their memory before the next is read
     if len(ends) == 1:
         raise ValueError("There is no demonstration to export.")
     root.create_group("meta").create_array("episode_ends", data=np.array(ends[1:], dtype=np.int64))
@@ -48,7 +57,7 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
 
 
 def _arrays(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield the arrays of an episode; the first camera's go by the names that DP3 gives to its only one."""
+    """Yield the arrays of an episode; those of the first camera have the names that DP3 gives to its only one."""
     if episode.points is None or episode.point_colors is None:
         raise ValueError(NEEDED)
     yield "point_cloud", episode.points
@@ -64,9 +73,12 @@ def _arrays(episode: Frames) -> Iterator[tuple[str, NDArray[Any]]]:
 
 def _describe(root: Any, task: Task, episode: Frames) -> None:
     names = {
-        "state": STATE_NAMES, "action": episode.action_names, "dq": JOINTS, "contact": CONTACTS,
+        "state": STATE_NAMES,
+        "action": episode.action_names,
+        "dq": JOINTS,
+        "contact": CONTACTS,
         "phase": [phase.name for phase in task.phases],
-    }  # fmt: skip
+    }
     if episode.privileged:
         names["privileged_state"] = episode.object_names
     for name, components in names.items():

@@ -1,4 +1,4 @@
-"""Episodes as learners want them: robot state, object state, pictures, actions, one row per control step."""
+"""Episodes as learners need them: robot state, object state, pictures, actions, one row per control step."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ class Frames:
     """One episode; leading dimension T.
 
     Attributes:
-        fps: Control steps a second.
+        fps: Control steps per second.
         robot: `ee_position` (3), `ee_quat_wxyz` (4), `width` (1), `q` (7), `dq` (7), float32.
         objects: `<name>_position`, `<name>_quat_wxyz`, `<name>_velocity`, `<name>_angular_velocity`, float32: the
-            truth, which no sensor tells so well.
-        privileged: Whether an export holds the truth about objects.
-        actions: Where the controller was asked to be at the end of the control step, float32.
+            true state, which no sensor measures so well.
+        privileged: Whether an export contains the true state of the objects.
+        actions: Target of the controller for the end of the control step, float32.
         layout: Which numbers an action consists of.
         rewards: float32.
-        phase: Index of the phase that acted, int64; -1 where no phase program did.
+        phase: Index of the phase that acted, int64; -1 where no phase program ran.
         gate: The residual gate m, bool.
-        contact: Whether the left and the right finger touch the manipulated object, (2) bool; False too where it was
-            not recorded.
+        contact: Whether the left and the right finger touch the manipulated object, (2) bool; False where it was not
+            recorded.
         images: RGB by camera, (H, W, 3) uint8 each; empty unless rendered.
         depths: Distance along the optical axis by camera, tenths of a millimetre, (H, W) uint16 each; likewise.
         points: (P, 3) float32, metres, world frame; None unless rendered.
         point_colors: (P, 3) uint8; None unless rendered.
-        episode: What it was made from.
+        episode: The recording.
     """
 
     fps: int
@@ -88,7 +88,7 @@ class Frames:
 
     @property
     def success(self) -> bool:
-        """Whether the episode is a success."""
+        """Whether the episode succeeded."""
         return self.episode.success
 
     @property
@@ -98,7 +98,7 @@ class Frames:
 
     @property
     def state(self) -> Floats:
-        """What the robot knows of itself: end-effector pose, width, joint positions; shape (T, 15)."""
+        """What the robot measures of itself: end-effector pose, width, joint positions; shape (T, 15)."""
         return np.concatenate([self.robot[name] for name in STATE], axis=1)
 
     @property
@@ -113,11 +113,15 @@ class Frames:
 
     @property
     def low_dimensional(self) -> dict[str, NDArray[Any]]:
-        """What dp3-zarr and the pack hold of each control step beside what was rendered, by name."""
+        """What dp3-zarr and the pack contain besides what was rendered, by name."""
         return {
-            "state": self.state, "action": self.actions, "dq": self.robot["dq"], "phase": self.phase,
-            "gate": self.gate, "contact": self.contact,
-        }  # fmt: skip
+            "state": self.state,
+            "action": self.actions,
+            "dq": self.robot["dq"],
+            "phase": self.phase,
+            "gate": self.gate,
+            "contact": self.contact,
+        }
 
 
 def env_of(task: Task) -> str:
@@ -145,20 +149,22 @@ def read_frames(
     """Iterate over the episodes of a dataset, in the order of their ids.
 
     Args:
-        dataset: Where they are.
-        fps: Control steps a second, as they were recorded.
+        dataset: The dataset.
+        fps: Control steps per second of the recordings.
         actions: "ee" or "joint".
-        rotation: Of an "ee" action: "quat_wxyz" (w, x, y, z), "rotation_6d" or "rotvec" (see `ActionLayout`).
-        elbow: Whether an "ee" action ends with the third joint's angle, without which a fast motion is not met exactly.
-        observations: Rendered pictures and points to go with them.
-        depth: Depth maps too.
-        privileged: Whether an export is to hold the truth about objects; by default where there is nothing rendered
-            to see them by.
-        failures: Failed episodes too.
+        rotation: Form of the rotation in an "ee" action: "quat_wxyz" (w, x, y, z), "rotation_6d" or "rotvec" (see
+            `ActionLayout`).
+        elbow: Whether an "ee" action ends with the third joint's angle, without which fast motions are not reproduced
+            exactly.
+        observations: Rendered pictures and points to include.
+        depth: Whether to include depth maps.
+        privileged: Whether an export is to contain the true state of the objects; by default only where no
+            observations show them.
+        failures: Whether to include failed episodes.
 
     Raises:
-        ValueError: Unknown actions or rotation, fps that are no whole number above 0 or not those of the recording, or
-            observations of an episode that were rendered from another recording.
+        ValueError: Actions or rotation are unknown, fps is no whole number above 0 or not that of the recording, or
+            observations were rendered from another recording.
         FileNotFoundError: An episode was not rendered.
     """
     _one_of(ACTION_MODES, actions, "Actions")
@@ -168,13 +174,13 @@ def read_frames(
     if not isinstance(fps, numbers.Integral) or isinstance(fps, bool) or fps < 1:
         raise ValueError(f"fps is a whole number of control steps a second, at least 1, e.g. 30; given {fps!r}.")
     layout = ActionLayout(actions, rotation, elbow and actions == "ee")
-    kind = _Kind(int(fps), layout, depth, privileged if privileged is not None else observations is None)
-    return _read(dataset, observations, failures, kind)
+    selection = _Selection(int(fps), layout, depth, privileged if privileged is not None else observations is None)
+    return _read(dataset, observations, failures, selection)
 
 
 @dataclass(frozen=True, slots=True)
-class _Kind:
-    """What is read of an episode, as `read_frames` takes it."""
+class _Selection:
+    """Which parts of an episode are read, in the terms of `read_frames`."""
 
     fps: int
     layout: ActionLayout
@@ -183,53 +189,52 @@ class _Kind:
 
 
 def _read(
-    dataset: DemonstrationDataset, observations: ObservationFolder | None, failures: bool, kind: _Kind
+    dataset: DemonstrationDataset, observations: ObservationFolder | None, failures: bool, selection: _Selection
 ) -> Iterator[Frames]:
     for episode in dataset:
         if len(episode) and (episode.success or failures):
-            _check_rate(episode, kind.fps)
-            yield _frames(episode, observations, kind)  # nothing here keeps the pictures alive
+            _check_rate(episode, selection.fps)
+            yield _frames(episode, observations, selection)  # without a local name, which would keep the pictures alive
 
 
-def _one_of(known: tuple[str, ...], given: str, what: str) -> None:
+def _one_of(known: tuple[str, ...], given: str, plural: str) -> None:
     if given not in known:
         close = difflib.get_close_matches(str(given), known, n=1)
         hint = f" Did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"{what} are one of {', '.join(known)}, not {given!r}.{hint}")
+        raise ValueError(f"{plural} are one of {', '.join(known)}, not {given!r}.{hint}")
 
 
 def _check_rate(episode: Episode, fps: int) -> None:
-    """Make sure that the rate given is that of the recording, which carries its times."""
+    """Check that the given rate is that of the recording, which contains its times."""
     times = episode.steps["time"]
     if len(times) > 1 and fps != (recorded := round(1.0 / float(np.median(np.diff(times))))):
         raise ValueError(f"Episode {episode.id} was recorded at {recorded} control steps a second, not {fps}.")
 
 
-def _frames(episode: Episode, observations: ObservationFolder | None, kind: _Kind) -> Frames:
+def _frames(episode: Episode, observations: ObservationFolder | None, selection: _Selection) -> Frames:
     steps, n = episode.steps, len(episode)
-    nothing = np.zeros(n, dtype=bool)
-    seen = _seen(observations, episode)
+    rendered = _rendered(observations, episode)
     return Frames(
-        fps=kind.fps,
+        fps=selection.fps,
         robot=robot_columns(steps),
         objects=object_columns(steps),
-        privileged=kind.privileged,
-        actions=kind.layout.of_steps(steps).astype(np.float32),
-        layout=kind.layout,
+        privileged=selection.privileged,
+        actions=selection.layout.of_steps(steps).astype(np.float32),
+        layout=selection.layout,
         rewards=steps["reward"].astype(np.float32),
         phase=steps.get("phase", np.full(n, -1)).astype(np.int64),
-        gate=steps.get("gate", nothing),
+        gate=steps.get("gate", np.zeros(n, dtype=bool)),
         contact=contact_columns(steps),
-        images=seen["rgb"],
-        depths=seen["depth"] if kind.depth else {},
-        points=seen["points"],
-        point_colors=seen["point_colors"],
+        images=rendered["rgb"],
+        depths=rendered["depth"] if selection.depth else {},
+        points=rendered["points"],
+        point_colors=rendered["point_colors"],
         episode=episode,
     )
 
 
 def robot_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
-    """Return what an export says of the robot, of recorded columns by their names in `demos.schema`."""
+    """Return the state of the robot as exports contain it, from recorded columns named as in `demos.schema`."""
     columns = {name: np.asarray(steps[name]) for name in ROBOT_NAMES}
     columns["ee_quat_wxyz"] = without_jumps(columns["ee_quat_wxyz"])
     columns["width"] = columns["width"][:, None]
@@ -237,25 +242,25 @@ def robot_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
 
 
 def object_columns(steps: Mapping[str, Any]) -> dict[str, Floats]:
-    """Return what an export says of objects and fixtures, likewise."""
+    """Return the states of objects and fixtures as exports contain them, from recorded columns likewise."""
     objects = {}
     for key, values in sorted(steps.items()):  # the order of `object_state`
         kind, _, rest = key.partition("/")
         if kind in ("object", "fixture"):
             name, column = rest.replace("/", "_"), np.asarray(values)
-            held = without_jumps(column) if name.endswith("_quat_wxyz") else column
-            objects[name] = held.astype(np.float32)
+            smooth = without_jumps(column) if name.endswith("_quat_wxyz") else column
+            objects[name] = smooth.astype(np.float32)
     return objects
 
 
 def contact_columns(steps: Mapping[str, Any]) -> NDArray[np.bool_]:
-    """Return whether each finger touches, shape (T, 2), likewise."""
-    nothing = np.zeros(len(steps["time"]), dtype=bool)
-    return np.column_stack([steps.get(f"{side}_contact", nothing) for side in CONTACTS])
+    """Return whether each finger touches the manipulated object, shape (T, 2), from recorded columns likewise."""
+    no_contact = np.zeros(len(steps["time"]), dtype=bool)
+    return np.column_stack([steps.get(f"{side}_contact", no_contact) for side in CONTACTS])
 
 
-def _seen(observations: ObservationFolder | None, episode: Episode) -> dict[str, Any]:
-    """Return what was rendered: pictures and depth by camera, points and their colours; a file of others is refused."""
+def _rendered(observations: ObservationFolder | None, episode: Episode) -> dict[str, Any]:
+    """Return what was rendered of an episode: pictures and depth maps by camera, points and their colours."""
     if observations is None:
         return {"rgb": {}, "depth": {}, "points": None, "point_colors": None}
     settings, arrays = observations.settings, observations.of(episode)

@@ -18,29 +18,35 @@ FILE = "demos.hdf5"
 VALID_EVERY = 10  # every tenth demonstration is for validation
 GYM = 2  # robomimic's EnvType of Gym environments
 PRIVILEGED = "privileged_"
-PRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
-    """Write `demos.hdf5`; returns the number of demonstrations.
+    """Write `demos.hdf5` and return the number of demonstrations.
 
-    robomimic's policies act within [-1, 1], so actions are scaled to it; the attributes `action_low` and `action_high`
-    of `data` undo that: a = low + (scaled + 1) / 2 * (high - low).
+    robomimic's policies act within [-1, 1], so actions are scaled to that range; the attributes `action_low` and
+    `action_high` of `data` undo it: a = low + (scaled + 1) / 2 * (high - low).
 
-    Episode by episode, since pictures of all may not fit into memory; actions at the end, once their range is known.
+    Episodes are written one by one, since the pictures of all may not fit into memory, and actions at the end, once
+    their range is known.
+
+    Args:
+        folder: Where to write.
+        task: The task.
+        episodes: What to write.
 
     Raises:
         ValueError: There is no demonstration.
     """
     actions: list[Floats] = []
-    about: dict[str, Any] = {}
+    metadata: dict[str, Any] = {}
     with h5py.File(folder / FILE, "w") as file:
         data = file.create_group("data")
-        for episode in episodes:  # not enumerate(episodes), which holds on to the last
-            about = about or _about(task, episode)
+        for episode in episodes:  # not enumerate(episodes), which keeps the last one in memory
+            metadata = metadata or _metadata(task, episode)
             _write_demo(data.create_group(f"demo_{len(actions)}"), episode, task.instruction)
             actions.append(episode.actions)
-            del episode  # or it lived on while the next is read
+            del episode  # free its memory before the next is read
         if not actions:
             raise ValueError("There is no demonstration to export.")
         everything = np.concatenate(actions)
@@ -50,25 +56,28 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
             data[f"demo_{k}/actions"] = 2.0 * (rows - low) / span - 1.0
         data.attrs["total"] = len(everything)
         data.attrs["action_low"], data.attrs["action_high"] = low, low + span
-        for name, value in about.items():
+        for name, value in metadata.items():
             data.attrs[name] = value if isinstance(value, str) else json.dumps(value)
         for split, members in _splits(len(actions)).items():
             file[f"mask/{split}"] = np.array([f"demo_{k}" for k in members], dtype="S")
     return len(actions)
 
 
-def _about(task: Task, episode: Frames) -> dict[str, Any]:
-    """Describe the columns, the words, and the env that the actions, once unscaled, belong to."""
+def _metadata(task: Task, episode: Frames) -> dict[str, Any]:
+    """Describe the columns, the instruction, and the env of the unscaled actions."""
     env = {"env_name": env_of(task), "type": GYM, "env_kwargs": episode.layout.env_arguments}
     names = {**ROBOT_NAMES, **{PRIVILEGED + key: axes_of(key) for key in _truth(episode)}}
     return {
-        "env_args": env, "action_names": episode.action_names, "observation_names": names,
-        "phase_names": [phase.name for phase in task.phases], "instruction": task.instruction,
-    }  # fmt: skip
+        "env_args": env,
+        "action_names": episode.action_names,
+        "observation_names": names,
+        "phase_names": [phase.name for phase in task.phases],
+        "instruction": task.instruction,
+    }
 
 
 def _splits(n: int) -> dict[str, list[int]]:
-    """Choose demonstrations to learn from and to validate with; a lone one serves for both."""
+    """Choose demonstrations for training and for validation; a single one serves as both."""
     valid = list(range(VALID_EVERY - 1, n, VALID_EVERY)) or [n - 1]
     return {"train": [k for k in range(n) if k not in valid] or valid, "valid": valid}
 
@@ -89,7 +98,7 @@ def _write_demo(demo: h5py.Group, episode: Frames, instruction: str) -> None:
         _observe(demo, name, column)
     for name, column in _truth(episode).items():
         _observe(demo, PRIVILEGED + name, column)
-        if not episode.images and episode.points is None:  # low-dimensional learners know it by its plain name
+        if not episode.images and episode.points is None:  # low-dimensional learners read it by its plain name
             for group in ("obs", "next_obs"):
                 demo[f"{group}/{name}"] = demo[f"{group}/{PRIVILEGED}{name}"]
     for camera, film in episode.images.items():
@@ -101,13 +110,13 @@ def _write_demo(demo: h5py.Group, episode: Frames, instruction: str) -> None:
 
 
 def _observe(demo: h5py.Group, name: str, rows: NDArray[Any], *, chunk: bool = False) -> None:
-    """Write what is seen before each action, and after it: the same a row later, its end repeated.
+    """Write the observations before each action, and those after it: the same rows, one later, the last repeated.
 
-    After the last action, where the episode is done, nothing was recorded and no learner looks. What comes after is a
-    view into what came before, so that pictures are not stored twice.
+    No learner reads the observation after the last action, and none was recorded. Pictures are not stored twice: those
+    after an action are a virtual dataset of those before.
     """
     before = demo.create_dataset(
-        f"obs/{name}", data=rows, **(PRESSED | {"chunks": (1, *rows.shape[1:])} if chunk else {})
+        f"obs/{name}", data=rows, **(COMPRESSION | {"chunks": (1, *rows.shape[1:])} if chunk else {})
     )
     if not chunk:
         demo[f"next_obs/{name}"] = np.concatenate((rows[1:], rows[-1:]))

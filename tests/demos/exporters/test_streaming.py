@@ -102,7 +102,7 @@ def test_what_a_folder_holds_is_never_mixed_with_an_export(name: str, episodes: 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:
     rng = np.random.default_rng(0)
     rows = rng.normal(5.0, 0.01, size=(5000, 3)) * (1, 10, 100)
-    found, thinned = Statistics(), Statistics(held=700)
+    found, thinned = Statistics(), Statistics(most_kept=700)
     for part in np.array_split(rows, 37):
         found.add(part)
         thinned.add(part)
