@@ -21,7 +21,7 @@ DEFAULT_NET_ARCH = (128, 128)
 class CriticFreePolicy(ActorCriticPolicy):
     """Actor of SB3's `ActorCriticPolicy`, without any value network.
 
-    The mean head starts at zero, so an untrained residual policy, run deterministically, is the planner alone.
+    The mean head starts at zero, so an untrained residual policy, run deterministically, leaves the planner as it is.
     Exploration noise is fixed, as in the paper (Eq. 4): the residual's scale is known, so sigma needs no learning.
     With a fixed sigma an entropy bonus would have no effect, hence the algorithm has none.
 
@@ -76,7 +76,7 @@ class CriticFreePolicy(ActorCriticPolicy):
         nn.init.zeros_(self.action_net.bias)
         if hasattr(self, "log_std"):
             self.log_std.requires_grad_(self.learn_std)
-        # Built anew: SB3's has every parameter, a fixed sigma and the deleted value head among them.
+        # Built again: SB3's has every parameter, a fixed sigma and the deleted value head among them.
         trained = [parameter for parameter in self.parameters() if parameter.requires_grad]
         self.optimizer = self.optimizer_class(trained, lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 

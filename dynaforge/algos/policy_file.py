@@ -191,7 +191,7 @@ def _name_of(task: str | Named) -> str:
 def _misfit(layers: Layers, task: str) -> str:
     """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not.
 
-    The env's class, found where Gymnasium finds it, tells its sizes without an env being made.
+    The sizes are read from the env's class, found where Gymnasium finds it, so no env is made.
     """
     spec = gym.spec(env_id(task))
     env_class: Any = load_env_creator(str(spec.entry_point))

@@ -1,4 +1,4 @@
-"""The randomness of a training run: what a resumed run needs to go on as if it had never stopped."""
+"""The randomness of a training run: what a resumed run needs to continue as if it had never stopped."""
 
 from __future__ import annotations
 

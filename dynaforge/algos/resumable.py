@@ -1,4 +1,4 @@
-"""SB3's on-policy algorithm with what makes a saved model go on bit for bit."""
+"""SB3's on-policy algorithm with what makes a saved model resume bit for bit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dynaforge.sampling.vec_wrappers import WrapperStack
 
 
 class ResumableAlgorithm(OnPolicyAlgorithm):
-    """An on-policy algorithm of whole iterations, which can be saved at any moment and goes on as if never stopped.
+    """An on-policy algorithm of whole iterations, which can be saved at any moment and resumes as if never stopped.
 
     Attributes:
         condition_rng: Generator that conditions are drawn from.
@@ -31,7 +31,7 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
     minibatch_rng: np.random.Generator
 
     def _seed_generators(self, seed: int | None) -> None:
-        # They are saved with the model: a resumed run goes on with its streams instead of repeating them. There are
+        # They are saved with the model: a resumed run continues its streams instead of repeating them. There are
         # two, so that the conditions drawn do not depend on how many minibatches were shuffled.
         streams = np.random.SeedSequence(seed).spawn(2)
         self.condition_rng, self.minibatch_rng = (np.random.default_rng(stream) for stream in streams)
@@ -82,7 +82,7 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
 
         Random states are saved too, and VecNormalize's statistics of observations, which the next `learn` of the loaded
         model gives to its env. Inside an iteration (a callback's checkpoint) they and `num_timesteps` are those
-        of its start: a resumed run repeats the iteration that was cut short, and so goes on bit for bit.
+        of its start: a resumed run repeats the iteration that was cut short, and so ends bit for bit the same.
         """
         with self.as_of_iteration_start():
             if not isinstance(path, (str, Path)):
@@ -111,6 +111,6 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
             self._saved_state = before
 
     def resume_from(self, state: RandomState) -> None:
-        """Go on from a state that `as_of_iteration_start` gave: the generators now, the rest at the next `learn`."""
+        """Continue from a state that `as_of_iteration_start` gave: the generators now, the rest at the next `learn`."""
         state.restore_generators(self)
         self._saved_state = state

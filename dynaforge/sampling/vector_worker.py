@@ -142,7 +142,7 @@ class EnvRunner:
                 name, *arguments = pickle.loads(message)
                 result = self._commands[name](*arguments)
             answer = EMPTY if result is None else PAYLOAD + _dump_fast(result)
-        except Exception as error:  # noqa: BLE001  the process border: the parent raises it anew, nothing is swallowed
+        except Exception as error:  # noqa: BLE001  the process border: the parent raises it again, nothing is swallowed
             index = int(self._running[self._worker])
             answer = describe_failure(error, None if index == NO_ENV else index)
         self._running[self._worker] = NO_ENV
@@ -280,7 +280,7 @@ def _build(pickled_fns: Sequence[bytes], envs: list[gym.Env[Any, Any]], *, first
                 raise TypeError(f"The env function returned {type(env).__name__}, expected a gymnasium.Env.")
             envs.append(env)
         answer = PAYLOAD + dump([(env.observation_space, env.action_space) for env in envs])
-    except Exception as error:  # noqa: BLE001  the process border: the parent raises it anew, nothing is swallowed
+    except Exception as error:  # noqa: BLE001  the process border: the parent raises it again, nothing is swallowed
         return describe_failure(error, min(first + len(envs), first + len(pickled_fns) - 1))
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)
