@@ -21,7 +21,7 @@ from dynaforge.generators import GaveUp, Generator, Goal, PlannerOnly, ResidualG
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.measure import measure
 from dynaforge.reports.forge import write_forge_report
-from dynaforge.tasks import Task
+from dynaforge.tasks import Stream, Task
 from dynaforge.tasks.digest import task_digest
 from dynaforge.training.forge import POLICY, train
 from dynaforge.training.forge_folder import REPORT, ForgeFolder, asked_for
@@ -100,7 +100,9 @@ def _identity(task: Task, options: argparse.Namespace) -> dict[str, Any]:
     return asked_for(options) | {"task_definition": task_digest(task), "settings": settings}
 
 
-def _measured(task: Task, generators: Sequence[Generator], stream: str, options: argparse.Namespace) -> dict[str, Any]:
+def _measured(
+    task: Task, generators: Sequence[Generator], stream: Stream, options: argparse.Namespace
+) -> dict[str, Any]:
     """Measure generators on the same conditions; returns plain data."""
     started = time.monotonic()
     total, workers = options.attempts, options.workers

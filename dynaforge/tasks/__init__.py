@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, task_named
 from dynaforge.sim.checks import quoted
-from dynaforge.tasks.conditions import STREAMS, ConditionSpace
+from dynaforge.tasks.conditions import STREAMS, ConditionSpace, Stream
 from dynaforge.tasks.outcome import Outcome
 from dynaforge.tasks.task import FRAMES, Frame, Mode, Phase, ResidualSpec, Task
 from dynaforge.tasks.task_file import task_of_file
@@ -24,6 +24,7 @@ __all__ = [
     "Outcome",
     "Phase",
     "ResidualSpec",
+    "Stream",
     "Task",
     "get_task",
     "suggestion",

@@ -1,8 +1,8 @@
-"""What an absolute action is, once for recordings, exports, packs and `TaskEnv`.
+"""Absolute actions, defined once for recordings, exports, packs and `TaskEnv`.
 
-An action is where the controller is asked to be at the end of the control step: the joint positions of its reference,
-or the hand's pose there, and the gripper's width. Whatever the limits allow is reached within the step, exactly, so
-that the actions of a recording do in `TaskEnv` what they did in the recording.
+An action is where the controller should be at the end of the control step: the joint positions of its reference, or the
+hand's pose there, and the gripper's width. A target that the limits allow is reached exactly within the step, so the
+actions of a recording have the same effect in `TaskEnv` as in the recording.
 """
 
 from __future__ import annotations
@@ -36,25 +36,27 @@ ROTATIONS: Mapping[RotationForm, tuple[str, ...]] = {
     "rotation_6d": ("r1x", "r1y", "r1z", "r2x", "r2y", "r2z"),
 }
 JOINTS = tuple(f"joint_{k}" for k in range(1, 8))
-WORKSPACE = ((-0.3, -0.9, -0.02), (0.9, 0.9, 1.1))  # metres: the lowest and the highest position
+WORKSPACE = ((-0.3, -0.9, -0.02), (0.9, 0.9, 1.1))  # lowest and highest position, metres
 
 
 @dataclass(frozen=True, slots=True)
 class ActionLayout:
-    """Which numbers an action consists of, in this order.
+    """Which numbers an action consists of, and in which order.
 
     mode "ee": position (m, base frame), rotation, gripper width (m), and with `elbow` the angle of the third joint
     (rad). mode "joint": seven joint positions (rad) and gripper width (m).
 
     Attributes:
         mode: "ee" or "joint".
-        rotation: "quat_wxyz": of any length but zero. "rotvec": rotation vector from the straight-down hand, radians,
-            which jumps near a half turn. "rotation_6d": two columns of the rotation matrix, which never jump.
-        elbow: A pose leaves one of the arm's seven joints open. With the elbow's angle, as in Franka's own Cartesian
-            interface, a recorded motion is met exactly; without, the arm stays as near as it can to where it is.
+        rotation: "quat_wxyz": a quaternion of any length except zero. "rotvec": the rotation vector from the hand that
+            points straight down, radians, which jumps near a half turn. "rotation_6d": two columns of the rotation
+            matrix, which never jump.
+        elbow: A pose leaves one degree of freedom of the arm undetermined. With the elbow's angle, as in Franka's own
+            Cartesian interface, a recorded motion is reproduced exactly; without it, the arm stays as close as it can
+            to where it is.
 
     Raises:
-        ValueError: Unknown mode or rotation, or an elbow beside joint positions.
+        ValueError: The mode or rotation is unknown, or `elbow` is set for joint positions.
     """
 
     mode: ActionMode = "ee"
@@ -81,34 +83,40 @@ class ActionLayout:
 
     @property
     def env_arguments(self) -> dict[str, Any]:
-        """What `TaskEnv`, or `gymnasium.make` of its id, takes so that such actions belong to it."""
+        """The arguments with which `TaskEnv`, or `gymnasium.make` of its id, takes such actions."""
         if self.mode == "joint":
             return {"action_mode": "joint"}
         return {"action_mode": "ee", "rotation": self.rotation, "elbow": self.elbow}
 
     def bounds(self, q_lower: Array, q_upper: Array, width_max: float) -> tuple[Array, Array]:
-        """Return the least and the greatest value of every component, float32, shape (d,)."""
+        """Return the least and the greatest value of every component, float32, shape (d,).
+
+        Args:
+            q_lower: Lower joint limits, radians, shape (7,).
+            q_upper: Upper joint limits, radians, shape (7,).
+            width_max: Largest opening between the fingers, metres.
+        """
         if self.mode == "joint":
             low, high = [*q_lower, 0.0], [*q_upper, width_max]
         else:
-            n = len(ROTATIONS[self.rotation])
-            turn = np.pi if self.rotation == "rotvec" else 1.0
-            low, high = [*WORKSPACE[0], *[-turn] * n, 0.0], [*WORKSPACE[1], *[turn] * n, width_max]
+            largest = np.pi if self.rotation == "rotvec" else 1.0
+            rotation = [largest] * len(ROTATIONS[self.rotation])
+            low = [*WORKSPACE[0], *(-x for x in rotation), 0.0]
+            high = [*WORKSPACE[1], *rotation, width_max]
             if self.elbow:
                 low, high = [*low, q_lower[ELBOW]], [*high, q_upper[ELBOW]]
-        # Rounded away from zero: joint positions at a limit are still inside as float32.
-        return _outward(low, -np.inf), _outward(high, np.inf)
+        return _round_toward(low, -np.inf), _round_toward(high, np.inf)
 
     def hand_target(self, action: Array) -> HandTarget:
-        """Return what an "ee" action asks of the hand.
+        """Return the target of the hand that an "ee" action stands for.
 
         Raises:
-            ValueError: Its numbers mean no rotation.
+            ValueError: Its rotation is a quaternion of length zero.
         """
         return HandTarget(Pose(self._matrix(action), action[:3]), self.width(action))
 
     def width(self, action: Array) -> float:
-        """Return the wanted gripper width, metres."""
+        """Return the action's gripper width, metres."""
         return float(action[-2] if self.elbow else action[-1])
 
     def of_steps(self, steps: Mapping[str, Any]) -> Array:
@@ -123,7 +131,8 @@ class ActionLayout:
         pose = np.asarray(steps["projected_action"], dtype=np.float64)
         quats = pose[:, 3:7]
         measured = without_jumps(np.asarray(steps["ee_quat_wxyz"], dtype=np.float64))
-        quats = np.where((quats * measured).sum(axis=1, keepdims=True) < 0.0, -quats, quats)  # as the state has them
+        # The sign is that of the measured rotation, so that actions and states agree.
+        quats = np.where((quats * measured).sum(axis=1, keepdims=True) < 0.0, -quats, quats)
         parts = [pose[:, :3], self._rotations(quats), pose[:, 7]]
         if self.elbow:
             parts.append(steps["joint_reference"][:, ELBOW])
@@ -132,8 +141,8 @@ class ActionLayout:
     def _matrix(self, action: Array) -> Array:
         numbers = action[3 : 3 + len(ROTATIONS[self.rotation])]
         if self.rotation == "rotvec":
-            turned: Array = matrix_from_rotvec(numbers) @ DOWN_ALONG_X
-            return turned
+            matrix: Array = matrix_from_rotvec(numbers) @ DOWN_ALONG_X
+            return matrix
         if self.rotation == "rotation_6d":
             return matrix_from_rotation_6d(numbers)
         if not np.abs(numbers).max() > 1e-6:
@@ -150,15 +159,17 @@ class ActionLayout:
 
 
 def without_jumps(quats: Array) -> Array:
-    """Choose the sign of each quaternion but the first so that none jumps to its negative, shape (T, 4).
+    """Choose the signs of quaternions, shape (T, 4), so that none jumps to its negative; the first one stays.
 
-    A hand that points down has w = 0, where a sign fixed by w >= 0 would flip from step to step.
+    A hand that points down has w near 0, where a sign chosen by w >= 0 would flip from step to step.
     """
-    turned = np.concatenate(([False], (quats[1:] * quats[:-1]).sum(axis=1) < 0.0))
-    return np.asarray(quats * np.where(np.logical_xor.accumulate(turned), -1.0, 1.0)[:, None])
+    jumps = np.concatenate(([False], (quats[1:] * quats[:-1]).sum(axis=1) < 0.0))
+    negated = np.logical_xor.accumulate(jumps)
+    return np.asarray(quats * np.where(negated, -1.0, 1.0)[:, None])
 
 
-def _outward(values: Any, direction: float) -> Array:
+def _round_toward(values: Any, direction: float) -> Array:
+    """Round to float32 toward -inf or inf, so that joint positions at a limit are inside the bounds as float32."""
     exact = np.asarray(values, dtype=np.float64)
     rounded = exact.astype(np.float32)
     beyond = (rounded > exact) if direction < 0 else (rounded < exact)

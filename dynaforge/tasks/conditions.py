@@ -1,4 +1,4 @@
-"""Where conditions come from: a task's ranges, and named streams of draws from them."""
+"""Where conditions come from: a task's ranges, and named streams of conditions drawn from them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -25,21 +25,22 @@ from dynaforge.sim.checks import (
     quoted,
 )
 
-STREAMS = ("train", "val", "test")
+Stream = Literal["train", "val", "test"]
+STREAMS: tuple[Stream, ...] = get_args(Stream)
 
 
 @dataclass(frozen=True, slots=True)
 class ConditionSpace:
-    """The configured range of a task's conditions; every value is uniform in its range.
+    """The ranges of a task's conditions; each value is drawn uniformly from its range.
 
     Attributes:
         task: Task name.
-        difficulty: The field that is the nominal difficulty; strata divide its range evenly.
+        difficulty: Name of the field that is the nominal difficulty; strata divide its range into equal parts.
         ranges: Field name to (low, high), SI units.
-        units: Field name to its unit, for people who read it; no entry for a plain number such as a side.
+        units: Field name to its unit, to be read by people; no entry for a plain number such as a side.
 
     Raises:
-        ValueError: A range is empty or reversed, the difficulty is none of the fields, or a unit is given for none.
+        ValueError: A range is empty or reversed, or `difficulty` or a key of `units` is not a field.
     """
 
     task: str
@@ -76,7 +77,7 @@ class ConditionSpace:
         return self.ranges[self.difficulty]
 
     def stratum(self, difficulty: float, n_strata: int) -> int:
-        """Which of `n_strata` equal parts of its range a difficulty falls into; the ends belong to the outer ones."""
+        """Return which of `n_strata` equal parts of the range a difficulty falls into; outliers count to the ends."""
         check_whole("n_strata", n_strata, least=1)
         check_number("difficulty", difficulty)
         low, high = self.difficulty_range
@@ -86,32 +87,32 @@ class ConditionSpace:
         """Draw one condition.
 
         Args:
-            rng: Source of the draw.
-            stratum: Draw the difficulty from this one of `n_strata` equal parts of its range; None: from all of it.
-            n_strata: Number of strata N.
+            rng: Source of randomness.
+            stratum: The part of its range from which the difficulty is drawn; None: from the whole range.
+            n_strata: Number of equal parts N.
 
         Raises:
-            ValueError: No such stratum.
+            ValueError: There is no such stratum.
         """
         check_kind("rng", rng, np.random.Generator)
         check_whole("n_strata", n_strata, least=1)
         if stratum is not None and not (is_whole(stratum) and 0 <= stratum < n_strata):
             raise ValueError(f"Stratum {quoted(stratum)} does not exist among {n_strata}; use 0 to {n_strata - 1}.")
-        unit = {name: float(rng.random()) for name in self.ranges}
+        shares = {name: float(rng.random()) for name in self.ranges}
         if stratum is not None:
-            unit[self.difficulty] = (stratum + unit[self.difficulty]) / n_strata
-        values = {name: low + unit[name] * (high - low) for name, (low, high) in self.ranges.items()}
+            shares[self.difficulty] = (stratum + shares[self.difficulty]) / n_strata
+        values = {name: low + shares[name] * (high - low) for name, (low, high) in self.ranges.items()}
         return Condition(self.task, int(rng.integers(2**31)), values[self.difficulty], values)
 
     def reset_kwargs(self, condition: Condition) -> dict[str, Any]:
-        """Return what `env.reset` takes to run this condition."""
+        """Return the keyword arguments of `env.reset` that run this condition."""
         return {"options": {"condition": condition}}
 
     def validate(self, condition: Condition) -> Condition:
-        """Return the condition if it belongs here.
+        """Return the condition if it belongs to this space.
 
         Raises:
-            ValueError: Another task's condition, a missing or unknown field, or a value out of range.
+            ValueError: It is another task's, lacks a field, has an unknown one, or a value is out of range.
         """
         check_kind("condition", condition, Condition)
         if condition.task != self.task:
@@ -131,18 +132,18 @@ class ConditionSpace:
         return condition
 
     def stream(
-        self, stream: str, block: int = 0, *, n_strata: int | None = None, shard: tuple[int, int] = (0, 1)
+        self, stream: Stream, block: int = 0, *, n_strata: int | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Iterator[Condition]:
-        """Iterate without end over the conditions of (task, stream, block, 0), (task, stream, block, 1) and so on.
+        """Iterate endlessly over the conditions of a block: the k-th is drawn from the seed (task, stream, block, k).
 
         Args:
-            stream: One of `STREAMS`.
-            block: Which block of it.
-            n_strata: With it, index i falls into stratum i modulo `n_strata`.
-            shard: (i, n): of every n conditions the i-th; the others are not drawn.
+            stream: "train", "val" or "test".
+            block: Number of the block.
+            n_strata: If given, the k-th condition is drawn from stratum k modulo `n_strata`.
+            shard: (i, n): the i-th of every n conditions; the others are not drawn.
 
         Raises:
-            ValueError: Unknown stream, or no such block, strata or shard.
+            ValueError: The stream is unknown, or `block`, `n_strata` or `shard` is out of range.
         """
         if not isinstance(stream, str) or stream not in STREAMS:
             raise ValueError(f"No condition stream {quoted(stream)}; known are {', '.join(STREAMS)}.")

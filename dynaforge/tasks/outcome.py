@@ -1,4 +1,4 @@
-"""How an attempt at a task ended: one value from the executor to files, infos and tables."""
+"""How an episode ended: one value that travels from the executor to files, infos and tables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from dynaforge.sim.checks import check_flag, check_kind, check_whole
 
 STORED = ("success", "checkpoint", "failure", "phase")
-"""Entries of an outcome in files."""
+"""The entries of an outcome in files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,14 +18,14 @@ class Outcome:
 
     Attributes:
         success: y of Eq. 6.
-        checkpoint: c of Eq. 6: phases completed in order; C on success, less otherwise.
-        n_checkpoints: C of Eq. 6; None where the outcome was read from a file or an info, which do not hold it. It is
-            a property of the task, so it is neither compared nor printed.
-        failure: Reason in a few words, the same words for the same cause; "" on success.
-        phase: Name of the phase it ended in; "" where no phase program ran.
+        checkpoint: c of Eq. 6: number of phases completed in order; C on success, less otherwise.
+        n_checkpoints: C of Eq. 6; None if the outcome was read from a file or an info, which do not contain it. It is a
+            property of the task, so it is neither compared nor printed.
+        failure: The reason in a few words, the same words for the same cause; "" on success.
+        phase: Name of the phase in which the episode ended; "" if no phase program ran.
 
     Raises:
-        ValueError: A field of the wrong type or out of range, or not exactly the failures carry a reason.
+        ValueError: A field of the wrong type or out of range, a success with a reason, or a failure without one.
     """
 
     success: bool
@@ -45,7 +45,7 @@ class Outcome:
             raise ValueError("A failure needs a reason, e.g. 'timeout'.")
         if self.n_checkpoints is not None:
             self._check_against_all(self.n_checkpoints)
-        object.__setattr__(self, "success", bool(self.success))  # numpy's own types would not go into JSON
+        object.__setattr__(self, "success", bool(self.success))  # numpy's own types cannot be written as JSON
         object.__setattr__(self, "checkpoint", int(self.checkpoint))
 
     def _check_against_all(self, n_checkpoints: int) -> None:
@@ -60,10 +60,10 @@ class Outcome:
         return "success" if self.success else self.failure
 
     def episodic_return(self) -> float:
-        """R of Eq. 6: 1 on success, else the share of checkpoints passed.
+        """Return R of Eq. 6: 1 on success, otherwise the share of checkpoints passed.
 
         Raises:
-            ValueError: It is a failure that was read from a file or an info, so C is not known.
+            ValueError: It is a failure that was read from a file or an info, so that C is not known.
         """
         if self.success:
             return 1.0
@@ -72,12 +72,12 @@ class Outcome:
         return self.checkpoint / self.n_checkpoints
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what files hold of it, as plain JSON data."""
+        """Return the entries that files contain, as plain JSON data."""
         return {name: getattr(self, name) for name in STORED}
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Outcome:
-        """Read what `to_dict` returned; other entries beside it are ignored.
+        """Return the outcome that `to_dict` was called on; further entries are ignored.
 
         Raises:
             ValueError: An entry is missing or malformed.
@@ -88,15 +88,17 @@ class Outcome:
         return Outcome(**{name: data[name] for name in STORED})
 
     def as_info(self) -> dict[str, Any]:
-        """Return what an env's info holds of it; without a phase program there is neither checkpoint nor phase."""
-        told = {"is_success": self.success, "failure": self.failure}
-        return told | {"checkpoint": self.checkpoint, "phase": self.phase} if self.phase else told
+        """Return the entries of an env's info; checkpoint and phase are absent if no phase program ran."""
+        info: dict[str, Any] = {"is_success": self.success, "failure": self.failure}
+        if self.phase:
+            info |= {"checkpoint": self.checkpoint, "phase": self.phase}
+        return info
 
     @staticmethod
     def of_info(info: Mapping[str, Any]) -> Outcome | None:
-        """Read what `as_info` returned out of an env's info; None where the step did not end the episode.
+        """Return the outcome in an env's info, or None if the step did not end the episode.
 
-        Where no phase program ran, its checkpoint reads as 0.
+        If no phase program ran, the checkpoint is 0.
         """
         if "failure" not in info:
             return None

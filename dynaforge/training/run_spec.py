@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.sim import Condition
-from dynaforge.tasks import Task, get_task
+from dynaforge.tasks import Stream, Task, get_task
 from dynaforge.tasks.digest import task_digest
 from dynaforge.training.run_archive import is_finished, read_run
 from dynaforge.training.settings import hyperparameters
@@ -29,7 +29,7 @@ class Evaluation:
         attempts: How many conditions of each block.
     """
 
-    stream: str = "test"
+    stream: Stream = "test"
     blocks: int = 3
     attempts: int = 100
 
