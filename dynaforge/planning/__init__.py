@@ -1,4 +1,4 @@
-"""Kinematics, collision checks, the global planner of the stable phases and the local planner of the dynamic ones."""
+"""Kinematics, collision checks, the global planner for stable phases and the local planner for dynamic ones."""
 
 from dynaforge.planning.collision import TABLE, CollisionModel, Obstacle
 from dynaforge.planning.global_planner import GlobalPlanner, PlanFailure

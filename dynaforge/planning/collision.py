@@ -1,4 +1,4 @@
-"""Collision checks of the arm with itself, the table and fixtures, on coal through Pinocchio."""
+"""Collision checks of the arm with itself, the table and fixtures, by coal through Pinocchio."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dynaforge.sim.robot import RobotDescription
 Shape = Literal["box", "cylinder", "sphere"]
 
 N_SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
-WORLD = 0  # Pinocchio's index of the joint that everything fixed hangs from
+WORLD = 0  # Pinocchio's index of the joint to which everything fixed is attached
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,13 +28,13 @@ class Obstacle:
     """A fixed body that the arm must not touch.
 
     Attributes:
-        name: What `CollisionModel.colliding_pair` calls it.
+        name: Name in the answers of `CollisionModel.colliding_pair`.
         shape: One of "box", "cylinder" (axis z) and "sphere".
-        size: Metres. Box: its three full side lengths; cylinder: radius, length; sphere: radius.
-        T_world_obstacle: Pose of its centre.
+        size: Metres. Box: three full side lengths; cylinder: radius, length; sphere: radius.
+        T_world_obstacle: Pose of the centre.
 
     Raises:
-        ValueError: The shape is unknown, or the sizes are not positive or not as many as the shape has.
+        ValueError: The shape is unknown, or the sizes are not positive or of the wrong number.
     """
 
     name: str
@@ -58,19 +58,20 @@ TABLE = Obstacle("table", "box", (1.8, 6.0, 0.1), Pose(np.eye(3), np.array((0.2,
 
 
 class CollisionModel:
-    """Tells whether the arm, its fingers open, touches itself, the table or a fixture.
+    """Checks whether the arm, with open fingers, touches itself, the table or a fixture.
 
-    Links are the convex hulls of their collision meshes. Neighbouring links are not checked against each other, and
-    neither are things that never move apart: the base on its table. A grasped object is not part of the model.
+    Links are represented by the convex hulls of their collision meshes. Neighbouring links are not checked against each
+    other, nor are bodies that cannot move apart, such as the base and the table. A grasped object is not part of the
+    model.
 
     Args:
         robot: Geometry of the arm.
-        fixtures: Fixed bodies beside the table.
+        fixtures: Fixed bodies other than the table.
         table: The table; None leaves it out.
-        clearance: Distance below which bodies count as touching where a check asks for clearance, metres.
+        clearance: Distance below which bodies count as touching in checks with clearance, metres.
 
     Raises:
-        ValueError: Two obstacles share a name.
+        ValueError: Two obstacles have the same name.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class CollisionModel:
     def in_collision(self, q: Array, *, clear: bool = False) -> bool:
         """Return whether the arm touches anything at joint positions q, radians, shape (7,).
 
-        With `clear`, coming nearer than the clearance counts as touching.
+        With `clear`, a distance below the clearance counts as touching.
         """
         results = self._near if clear else self._touching
         hit: bool = pin.computeCollisions(self._model, self._data, self._geometry, results, q, True)
@@ -105,7 +106,7 @@ class CollisionModel:
 
     def colliding_pair(self, q: Array) -> tuple[str, str] | None:
         """Return the names of two bodies that touch at q, or None; links are named as in the URDF."""
-        # Without an early stop: results behind the first hit would be those of an earlier call.
+        # All pairs are checked: after an early stop, later results would be those of a previous call.
         if not pin.computeCollisions(self._model, self._data, self._geometry, self._touching, q, False):
             return None
         results = self._touching.collisionResults
@@ -114,12 +115,13 @@ class CollisionModel:
     def edge_free(self, q0: Array, q1: Array, *, resolution: float = 0.05, clear: bool = False) -> bool:
         """Return whether the straight joint-space edge from q0 to q1 is free, ends included.
 
-        The ends are checked first, then the middle, then ever finer: a blocked edge is refused early.
+        The ends are checked first, then the middle, then finer and finer, so that a blocked edge is found early.
 
         Args:
-            q0, q1: Ends, radians, shape (7,).
+            q0: One end, radians, shape (7,).
+            q1: The other end, radians, shape (7,).
             resolution: Largest change of any joint between neighbouring checks, radians.
-            clear: Ask for the clearance all along.
+            clear: Whether the clearance must be kept along the whole edge.
         """
         n = max(1, math.ceil(float(np.abs(q1 - q0).max()) / resolution))
         fractions = bisection_order(n)
@@ -129,25 +131,25 @@ class CollisionModel:
 
 @lru_cache(maxsize=256)
 def bisection_order(n: int) -> Array:
-    """Return k / n for k = 0..n, ends first and then halving the gaps, shape (n + 1,)."""
+    """Return k / n for k = 0..n, the ends first and then the middles of ever smaller gaps, shape (n + 1,)."""
     order = [0, n]
     stride = 1 << max(n - 1, 1).bit_length()
     seen = set(order)
     while stride >= 1:
-        fresh = [k for k in range(stride, n, stride) if k not in seen]
-        order += fresh
-        seen.update(fresh)
+        middles = [k for k in range(stride, n, stride) if k not in seen]
+        order += middles
+        seen.update(middles)
         stride //= 2
     return np.array(order) / n
 
 
 @lru_cache(maxsize=4)
 def _arm_hulls(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tuple[Any, Any]:
-    """Return the Pinocchio model and its collision geometry as convex hulls, with the pairs of the arm alone."""
+    """Return the Pinocchio model and its collision geometry as convex hulls, with the pairs of links to check."""
     model, meshes = load_model(urdf, arm_joints, width_max)
     geometry = meshes.copy()
     for body in geometry.geometryObjects:
-        body.name = body.name.removesuffix("_0")  # Pinocchio numbers the shapes of a link; here each has one
+        body.name = body.name.removesuffix("_0")  # Pinocchio numbers the shapes of a link; here each link has one
         body.geometry.buildConvexRepresentation(False)
         body.geometry = body.geometry.convex
     bodies = geometry.geometryObjects
@@ -159,7 +161,7 @@ def _arm_hulls(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tup
 
 
 def _with_obstacles(robot: RobotDescription, obstacles: Sequence[Obstacle]) -> tuple[Any, Any]:
-    """Add obstacles to a copy of the arm's hulls, each paired with every link that moves."""
+    """Add obstacles to a copy of the arm's hulls, each paired with every moving link."""
     model, arm = _arm_hulls(robot.urdf, robot.arm_joints, robot.width_max)
     geometry = arm.copy()
     links = [i for i, body in enumerate(arm.geometryObjects) if body.parentJoint != WORLD]
@@ -168,7 +170,7 @@ def _with_obstacles(robot: RobotDescription, obstacles: Sequence[Obstacle]) -> t
         index = geometry.addGeometryObject(
             pin.GeometryObject(obstacle.name, WORLD, pin.SE3(pose.rotation, pose.position), _coal_shape(obstacle))
         )
-        for link in reversed(links):  # the hand is what touches most often: checked first, it ends the check
+        for link in reversed(links):  # the hand first: it touches most often, and the first hit ends the check
             geometry.addCollisionPair(pin.CollisionPair(link, index))
     return model, geometry
 

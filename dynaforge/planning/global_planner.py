@@ -20,14 +20,14 @@ from dynaforge.sim.robot import RobotDescription
 Reason = Literal["unreachable", "goal in collision", "start in collision", "no path", "timing failed"]
 
 RESOLUTION = 0.015  # radians of the fastest joint between collision checks
-AT_REST = 1e-4  # rad/s and rad/s^2 below which the arm counts as standing
-GRAZE = 0.15  # radians that a motion may take to leave a collision it starts in
-RETREATS = (0.02, 0.05, 0.1)  # metres up, tried in turn, to leave such a collision
-SPLINE_DETAIL = (1, 2, 4)  # pieces an edge is cut into, tried in turn until the spline is free
+AT_REST = 1e-4  # rad/s and rad/s^2 below which the arm counts as being at rest
+ESCAPE_LIMIT = 0.15  # radians within which a motion must leave a collision that it starts in
+RETREATS = (0.02, 0.05, 0.1)  # metres upward, tried in turn, to leave such a collision
+SPLINE_DETAIL = (1, 2, 4)  # pieces into which edges are cut, tried in turn until the spline is free
 
 
 class PlanFailure(Exception):  # noqa: N818  (a result that callers handle, named as the docs name it)
-    """No trajectory exists or none was found.
+    """There is no trajectory, or none was found.
 
     Attributes:
         reason: "unreachable", "goal in collision", "start in collision", "no path" or "timing failed".
@@ -42,14 +42,14 @@ class PlanFailure(Exception):  # noqa: N818  (a result that callers handle, name
 
 
 class GlobalPlanner:
-    """Plans from any joint state to an end-effector pose, at rest: brake, goal IK, path, timing.
+    """Plans from any joint state to rest at an end-effector pose: brake, goal IK, path, timing.
 
-    Deterministic: the same inputs and generator state give the same bits.
+    It is deterministic: the same inputs and generator state give the same trajectory bit for bit.
 
     Args:
-        robot: Its limits.
+        robot: Gives the limits.
         kinematics: Finds the goal configuration.
-        collision: What must not be touched.
+        collision: The bodies that must not be touched.
         dt: Seconds between the samples of a trajectory.
     """
 
@@ -61,7 +61,7 @@ class GlobalPlanner:
         self._brake_solver = ruckig.Ruckig(7)
         self._brake_input = ruckig.InputParameter(7)
         self._brake_input.control_interface = ruckig.ControlInterface.Velocity
-        self._brake_input.synchronization = ruckig.Synchronization.No  # no joint waits for a slower one to stop
+        self._brake_input.synchronization = ruckig.Synchronization.No  # no joint waits for a slower one
         self._brake_input.max_acceleration = robot.ddq_max.tolist()
         self._brake_input.max_jerk = robot.dddq_max.tolist()
 
@@ -69,8 +69,8 @@ class GlobalPlanner:
         """Plan a trajectory that starts at a joint state and ends at rest at an end-effector pose.
 
         A moving arm first brakes. The goal configuration is the inverse kinematics solution found from where the arm
-        then stands, or failing that from elsewhere. The path is the straight joint-space edge, or failing that one by
-        RRT-Connect. A start in shallow collision (a hand that grazes the table) is left by the shortest way.
+        then is, or failing that from elsewhere. The path is the straight joint-space edge, or failing that a path found
+        by RRT-Connect. If the arm starts in a shallow collision (a hand that grazes the table), it first leaves it.
 
         Args:
             start: Joint state to start from, moving or at rest.
@@ -81,7 +81,7 @@ class GlobalPlanner:
             Samples on the dt grid; the first is the given state, the last is the goal, at rest.
 
         Raises:
-            PlanFailure: There is none; its reason says why.
+            PlanFailure: There is none; the reason says why.
             ValueError: A value is not finite.
         """
         _require_finite(start, target)
@@ -125,10 +125,10 @@ class GlobalPlanner:
         return result.q
 
     def _leaves_collision(self, q0: Array, q1: Array) -> bool:
-        """Return whether a straight edge that starts in collision is soon out of it, for good."""
+        """Return whether a straight edge that starts in collision soon leaves it and stays free."""
         n = max(1, math.ceil(float(np.abs(q1 - q0).max()) / RESOLUTION))
         path = q0 + np.linspace(0.0, 1.0, n + 1)[:, None] * (q1 - q0)
-        within = math.ceil(GRAZE / RESOLUTION)
+        within = math.ceil(ESCAPE_LIMIT / RESOLUTION)
         first_free = next((k for k, q in enumerate(path[: within + 1]) if not self.collision.in_collision(q)), None)
         return first_free is not None and self.collision.edge_free(path[first_free], q1, resolution=RESOLUTION)
 
@@ -148,7 +148,8 @@ class GlobalPlanner:
         if float(np.abs(goal - q).max()) < 1e-9:
             still = np.zeros((1, 7))
             return [JointTrajectory(self.dt, goal[None].copy(), still, still.copy())]
-        # Checks stand apart and a spline is followed in chords: the clearance covers both, where the ends allow it.
+        # Collisions are checked at points, and a spline is followed in chords: the clearance covers both, unless an end
+        # is too near to an obstacle to keep it.
         clear = not any(self.collision.in_collision(end, clear=True) for end in (q, goal))
         edge_free = partial(self.collision.edge_free, resolution=RESOLUTION, clear=clear)
         if self.collision.in_collision(q) or edge_free(q, goal):
@@ -160,7 +161,7 @@ class GlobalPlanner:
         return self._rounded(path, clear) or [self._timed(Line(a, b)) for a, b in pairwise(path)]
 
     def _rounded(self, path: list[Array], clear: bool) -> list[JointTrajectory]:
-        """Follow a polyline without stopping, on a spline that hugs it closely enough to be free; empty if none is."""
+        """Follow a polyline without stopping, on a spline near enough to it to be free; empty if there is none."""
         for detail in SPLINE_DETAIL if len(path) > 2 else ():
             shares = np.arange(detail)[:, None] / detail
             pieces = [a + shares * (b - a) for a, b in pairwise(path)]

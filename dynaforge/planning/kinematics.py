@@ -19,8 +19,8 @@ from dynaforge.sim.robot import ELBOW, RobotDescription
 POSITION_TOLERANCE = 1e-4  # metres
 ROTATION_TOLERANCE = 1e-3  # radians
 MIN_DAMPING = 1e-6
-DAMPING_PER_ERROR = 0.02  # damping grows with the squared error: bold near the target, careful far from it
-MAX_ERROR_STEP = 0.25  # metres and radians: a longer twist is followed in parts, since the Jacobian is local
+DAMPING_PER_ERROR = 0.02  # damping grows with the squared error: long steps near the target, careful ones far from it
+MAX_ERROR_STEP = 0.25  # metres and radians: a longer twist is followed in parts, because the Jacobian is local
 READY_PULL = 0.02  # share of the way to the ready pose taken in the null space, once per solve
 
 _ONES = np.ones((3, 3))
@@ -28,12 +28,12 @@ _ONES = np.ones((3, 3))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkResult:
-    """Answer of an inverse kinematics solve.
+    """Result of solving the inverse kinematics.
 
     Attributes:
         q: Joint positions inside the limits, radians, shape (7,).
-        position_error: Distance of the reached from the wanted end-effector position, metres.
-        rotation_error: Angle between reached and wanted orientation, radians.
+        position_error: Distance between the reached and the wanted end-effector position, metres.
+        rotation_error: Angle between the reached and the wanted orientation, radians.
         converged: Whether both errors are within tolerance (0.1 mm, 1 mrad).
     """
 
@@ -47,7 +47,13 @@ class IkResult:
 
 @lru_cache(maxsize=4)
 def load_model(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tuple[Any, Any]:
-    """Load the arm as Pinocchio model and collision geometry, its fingers locked open; memoised in the process."""
+    """Load the arm, with its fingers locked open, as a Pinocchio model and its collision geometry; cached.
+
+    Args:
+        urdf: The robot's URDF.
+        arm_joints: Names of the joints that stay movable.
+        width_max: Opening at which the fingers are locked, metres.
+    """
     full = pin.buildModelFromUrdf(str(urdf))
     geometry = pin.buildGeomFromUrdf(full, str(urdf), pin.GeometryType.COLLISION, package_dirs=[str(urdf.parent)])
     locked = [name for name in full.names[1:] if name not in arm_joints]
@@ -59,7 +65,7 @@ def load_model(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> tup
 
 
 class ArmKinematics:
-    """Where the hand is, how it moves with the joints, and which joints bring it somewhere.
+    """Forward kinematics, Jacobian and inverse kinematics of the arm.
 
     The end-effector frame is the robot's `ee_link`; the base frame is the world frame.
 
@@ -72,7 +78,7 @@ class ArmKinematics:
         self._model, _ = load_model(robot.urdf, robot.arm_joints, robot.width_max)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(robot.ee_link)
-        self._gram = np.empty((6, 6))  # symmetric, so its transpose is the column order LAPACK wants
+        self._gram = np.empty((6, 6))  # symmetric, so its transpose has the column order that LAPACK expects
         self._gram_diagonal = self._gram.reshape(-1)[::7]
 
     def forward(self, q: Array) -> Pose:
@@ -98,16 +104,17 @@ class ArmKinematics:
     ) -> IkResult:
         """Bring the end effector to a target by warm-started damped least squares.
 
-        Each step solves (J J^T + lambda I) y = e for the twist e to the target in the end-effector frame and moves
-        by J^T y, then clamps to the joint limits. The first step also drifts toward the ready pose in the null space.
-        Where the target is out of reach, the result is the clamped configuration of least error that was met: the
-        projection of Eq. 5.
+        Each step solves (J J^T + lambda I) y = e for the twist e to the target in the end-effector frame, moves by
+        J^T y and clamps to the joint limits. The first step also drifts toward the ready pose in the null space. If the
+        target is out of reach, the result is the clamped configuration with the least error found: the projection of
+        Eq. 5.
 
         Args:
             target: Wanted `T_world_ee`.
-            q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
-            max_iterations: Steps taken at most.
-            position_tolerance, rotation_tolerance: Metres and radians at which the solver has converged.
+            q_seed: Configuration to start from, radians, shape (7,); it is clamped to the limits.
+            max_iterations: Largest number of steps.
+            position_tolerance: Position error at which the solver has converged, metres.
+            rotation_tolerance: Rotation error at which the solver has converged, radians.
 
         Raises:
             ValueError: Target or seed is not finite.
@@ -133,20 +140,20 @@ class ArmKinematics:
     def solve_at_elbow(
         self, target: Pose, elbow: float, q_seed: Array, *, max_iterations: int, tolerance: float = 1e-6
     ) -> Array:
-        """Bring the end effector to a target, and the third joint to the angle that settles the seventh freedom.
+        """Bring the end effector to a target, and the third joint to an angle that determines the seventh freedom.
 
-        The pose comes first: the elbow is turned in the null space, as far as the limits let it.
+        The pose has priority: the elbow is turned in the null space, as far as the limits allow.
 
         Args:
             target: Wanted `T_world_ee`.
             elbow: Wanted angle of the third joint, radians.
-            q_seed: Where to start, radians, shape (7,); it is clamped to the limits.
-            max_iterations: Steps taken at most.
-            tolerance: Metres and radians at which all has arrived.
+            q_seed: Configuration to start from, radians, shape (7,); it is clamped to the limits.
+            max_iterations: Largest number of steps.
+            tolerance: Error of pose (metres and radians) and elbow (radians) at which the solver has converged.
 
         Returns:
-            Joint positions inside the limits, radians, shape (7,): of those met that reach the pose, the one nearest
-            to the elbow; of others, the one nearest to the pose.
+            Joint positions inside the limits, radians, shape (7,): of the configurations found, the one nearest to the
+            elbow among those that reach the pose; if none does, the one nearest to the pose.
 
         Raises:
             ValueError: Target or seed is not finite.
@@ -176,21 +183,21 @@ class ArmKinematics:
         attempts: int = 24,
         max_iterations: int = 50,
     ) -> IkResult:
-        """Search for a configuration that reaches a target, near the seed first.
+        """Search for a configuration that reaches a target, first near a seed.
 
-        Seeds are q_seed, the ready pose, then random configurations.
+        The seeds are q_seed, the ready pose, and then random configurations.
 
         Args:
             target: Wanted `T_world_ee`.
             rng: Draws the random seeds.
             q_seed: The configuration to stay near, radians, shape (7,).
             valid: What else a solution must satisfy, such as being free of collision.
-            attempts: Seeds tried in all.
-            max_iterations: Steps from each seed.
+            attempts: Number of seeds tried.
+            max_iterations: Largest number of steps from each seed.
 
         Returns:
-            The first converged and valid solution; else the converged one met first (`valid` refused them all); else
-            the one of least error, which is not `converged`.
+            The first converged and valid solution; if none is valid, the first converged one; if none converged, the
+            one of least error.
         """
         fallback: IkResult | None = None
         for seed in self._seeds(q_seed, rng, attempts):
@@ -244,7 +251,7 @@ class ArmKinematics:
 
 
 def _require_finite(target: Pose, q_seed: Array, error: float) -> None:
-    entries = float(np.vdot(target.rotation, _ONES))  # the error alone lets a lone NaN in the rotation through
+    entries = float(np.vdot(target.rotation, _ONES))  # a single NaN in the rotation can leave the error finite
     if not math.isfinite(error + entries):
         raise ValueError(
             f"Target position {target.position.tolist()}, rotation {target.rotation.tolist()} and seed "
@@ -253,5 +260,5 @@ def _require_finite(target: Pose, q_seed: Array, error: float) -> None:
 
 
 def _rank(result: IkResult) -> tuple[bool, float]:
-    """Order results: converged ones first and equal, then by error."""
+    """Return a sort key: converged results are equal and come first, the others follow by error."""
     return (False, 0.0) if result.converged else (True, result.position_error + result.rotation_error)

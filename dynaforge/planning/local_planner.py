@@ -1,4 +1,4 @@
-"""The local planner: from an end-effector target to a joint reference inside the limits, every control step."""
+"""The local planner: turns an end-effector target into a joint reference inside the limits, every control step."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ARRIVED = 1e-10  # rad, rad/s, rad/s^2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointReference:
-    """What the joint controller is asked for, due at the end of a control step.
+    """The command to the joint controller, due at the end of a control step.
 
     Attributes:
         joints: State of the arm.
         width: Opening between the fingers, metres.
-        width_speed: Its rate over the control step, m/s.
+        width_speed: Rate of the opening over the control step, m/s.
     """
 
     joints: JointState
@@ -34,16 +34,16 @@ class JointReference:
 
 
 class LocalPlanner:
-    """Holds the joint reference and moves it toward targets inside every limit: the projection of Eq. 5.
+    """Moves the joint reference toward targets inside every limit: the projection of Eq. 5.
 
-    Inverse kinematics starts at the current reference; Ruckig then moves the reference one control step toward the
-    solution under the velocity, acceleration and jerk limits, with target velocity zero (any other would be a
+    Inverse kinematics starts at the current reference. Ruckig then moves the reference one control step toward the
+    solution under the velocity, acceleration and jerk limits, with a target velocity of zero (any other would be a
     prediction). Call `reset` first.
 
     Args:
-        robot: Its limits.
+        robot: Gives the limits.
         kinematics: Inverse and forward kinematics.
-        dt: Seconds of a control step.
+        dt: Duration of a control step, seconds.
     """
 
     def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
@@ -51,7 +51,7 @@ class LocalPlanner:
         self._solver = ruckig.Ruckig(7, dt)
         self._output = ruckig.OutputParameter(7)
         self._input = ruckig.InputParameter(7)
-        # Joints that arrive together keep the hand near the straight line: each for itself, it dips into the object.
+        # Joints that arrive together keep the hand near the straight line; otherwise it dips into the object.
         self._input.synchronization = ruckig.Synchronization.Time
         self._input.max_velocity = robot.dq_max.tolist()
         self._input.max_acceleration = robot.ddq_max.tolist()
@@ -60,11 +60,11 @@ class LocalPlanner:
 
     @property
     def reference(self) -> JointReference:
-        """Where the command stands."""
+        """The current joint reference."""
         return self._reference
 
     def reset(self, q: Array, width: float) -> JointReference:
-        """Put the reference at rest at joint positions q (rad, shape (7,)) and an opening (m).
+        """Set the reference to rest at joint positions q (rad, shape (7,)) and an opening (m).
 
         Raises:
             ValueError: A value is not finite.
@@ -79,7 +79,7 @@ class LocalPlanner:
     def track(self, target: HandTarget) -> JointReference:
         """Move one control step toward a target of the hand.
 
-        Where its pose is out of reach, the nearest configuration that the solver meets is used.
+        If its pose is out of reach, the nearest configuration that the solver finds is used.
 
         Raises:
             ValueError: A value is not finite.
@@ -96,7 +96,7 @@ class LocalPlanner:
         return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
 
     def follow(self, sample: JointState, width: float) -> JointReference:
-        """Take a sample of a planned trajectory as it is; only the opening is ramped.
+        """Take a sample of a planned trajectory unchanged; only the opening is ramped.
 
         Args:
             sample: The state due at the end of this control step.
@@ -124,7 +124,7 @@ class LocalPlanner:
         return self._reference
 
     def _has_arrived(self, q_goal: Array) -> bool:
-        """Tell whether nothing is left but rounding, of which Ruckig now and then makes NaN."""
+        """Return whether only rounding error is left, from which Ruckig sometimes makes NaN."""
         now = self._reference.joints
         return all(np.abs(left).max() < ARRIVED for left in (now.dq, now.ddq, q_goal - now.q))
 
@@ -135,7 +135,7 @@ class LocalPlanner:
         try:
             self._solver.update(self._input, output)
         except ruckig.RuckigError:
-            # Synchronisation fails now and then when joints have all but arrived; each for itself always finds a way.
+            # Synchronisation sometimes fails when the joints have almost arrived; without it Ruckig always succeeds.
             self._input.synchronization = ruckig.Synchronization.No
             self._solver.update(self._input, output)
             self._input.synchronization = ruckig.Synchronization.Time
@@ -143,7 +143,7 @@ class LocalPlanner:
         return JointState(*np.array((output.new_position, output.new_velocity, output.new_acceleration)))
 
     def _load(self, joints: JointState) -> None:
-        """Hand Ruckig a state; forget its running trajectory, so that nothing depends on what came before."""
+        """Give Ruckig a state and discard its running trajectory, so that nothing depends on what came before."""
         self._solver.reset()
         self._input.current_position = joints.q.tolist()
         self._input.current_velocity = joints.dq.tolist()
@@ -152,6 +152,12 @@ class LocalPlanner:
 
 def ramp_width(before: float, wanted: float, robot: RobotDescription, dt: float) -> tuple[float, float]:
     """Return the opening one control step nearer to the wanted one (m), and its rate over the step (m/s).
+
+    Args:
+        before: Opening before the step, metres.
+        wanted: Wanted opening, metres.
+        robot: Gives the fingers' largest speed and the largest opening.
+        dt: Duration of a control step, seconds.
 
     Raises:
         ValueError: The wanted opening is not finite.
@@ -165,6 +171,6 @@ def ramp_width(before: float, wanted: float, robot: RobotDescription, dt: float)
 
 def require_finite(name: str, value: Array | float) -> None:
     """Raise ValueError unless all numbers are finite."""
-    # The sum of a few numbers is finite if they all are; methods and plain floats take a fifth of np.isfinite's time.
+    # The sum of a few numbers is finite if they all are, and is five times as fast as np.isfinite.
     if not math.isfinite(value if isinstance(value, float) else value.sum()):
         raise ValueError(f"{name} is {np.asarray(value).tolist()}; it must be finite.")

@@ -56,19 +56,21 @@ def rrt_connect(
 ) -> list[Array] | None:
     """Join start and goal by free straight edges (Kuffner and LaValle, 2000).
 
-    Two trees grow by turns: one makes a step toward a random configuration, the other walks toward the new node
+    Two trees grow in turn: one makes a step toward a random configuration, then the other grows toward the new node
     until it arrives or is blocked.
 
     Args:
-        start, goal: Free configurations, radians, shape (n,).
+        start: A free configuration, radians, shape (n,).
+        goal: Another free configuration, radians, shape (n,).
         edge_free: Whether the straight edge between two configurations is free.
-        lower, upper: Bounds of the random configurations, radians, shape (n,).
+        lower: Lower bounds of the random configurations, radians, shape (n,).
+        upper: Upper bounds of the random configurations, radians, shape (n,).
         rng: Draws the random configurations.
-        step: Longest edge, radians (Euclidean).
-        max_samples: Random configurations drawn at most.
+        step: Length of the longest edge, radians (Euclidean).
+        max_samples: Largest number of random configurations.
 
     Returns:
-        Waypoints from start to goal, or None when the samples ran out.
+        Waypoints from start to goal, or None if the samples ran out.
     """
     tree, other = _Tree(start, 128), _Tree(goal, 128)
     from_start = True
@@ -86,16 +88,16 @@ def rrt_connect(
 
 
 def shortcut(path: list[Array], *, edge_free: EdgeFree, rng: np.random.Generator, attempts: int = 60) -> list[Array]:
-    """Replace stretches of a path by straight edges wherever these are free.
+    """Replace parts of a path by straight edges where these are free.
 
     Args:
         path: Waypoints, radians, shape (n,) each.
         edge_free: Whether the straight edge between two configurations is free.
         rng: Draws the two points on the path that an attempt joins.
-        attempts: How many pairs are tried.
+        attempts: Number of pairs tried.
 
     Returns:
-        A path with the same ends that is not longer.
+        A path with the same ends that is no longer.
     """
     path = list(path)
     for _ in range(attempts):
@@ -112,7 +114,7 @@ def shortcut(path: list[Array], *, edge_free: EdgeFree, rng: np.random.Generator
 
 
 def _draw(path: list[Array], rng: np.random.Generator) -> tuple[int, float]:
-    """Draw a waypoint or, half of the time, a point on an edge: (edge, share of the edge)."""
+    """Draw a point on the path as (edge, share of the edge): a waypoint half of the time, otherwise any point."""
     edge = int(rng.integers(len(path) - 1))
     return edge, float(rng.choice((0.0, 1.0))) if rng.random() < 0.5 else float(rng.random())
 
@@ -122,7 +124,7 @@ def _without_repeats(path: list[Array]) -> list[Array]:
     for q in path[1:]:
         if float(np.abs(q - kept[-1]).max()) > 1e-9:
             kept.append(q)
-    kept[-1] = path[-1]  # of points that coincide, the one kept at the end must be the very goal
+    kept[-1] = path[-1]  # of coinciding points, the last one kept must be exactly the goal
     return kept
 
 

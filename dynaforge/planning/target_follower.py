@@ -1,4 +1,4 @@
-"""The controller of absolute actions: a target that the limits allow is reached within its control step, exactly."""
+"""The controller of absolute actions: a target that the limits allow is reached exactly within its control step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dynaforge.planning.local_planner import JointReference, ramp_width, require
 from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
-LIMIT_TOLERANCE = 1e-3  # share of the limits left to rounding: targets are float32, inverse kinematics ends at 1e-6
+LIMIT_TOLERANCE = 1e-3  # share of the limits added for rounding: targets are float32, and IK stops at an error of 1e-6
 TOLERANCE = 1e-6  # metres and radians
 MAX_ITERATIONS = 8
 
@@ -18,33 +18,33 @@ MAX_ITERATIONS = 8
 class TargetFollower:
     """Moves the joint reference toward one absolute target per control step.
 
-    What a recording calls an action is where its command stood a control step later. Given back as targets, such
-    actions are met exactly, as any stream of targets is that the limits allow. The local planner of the prior cannot
-    do this: it stops at each target, so it trails one that moves.
+    A recorded action is where the command was one control step later. Such actions, given as targets, are reached
+    exactly, as is any sequence of targets that the limits allow. The planner's `LocalPlanner` cannot do this: it stops
+    at each target, so it trails a moving one.
 
-    The reference is a sequence of positions; its velocity is their difference over a control step, its acceleration
-    the difference of those, and both stay inside the limits (at 30 Hz the jerk limit of 5000 rad/s^3 binds nothing).
-    A motion that keeps the limits at every instant keeps them here too, since differences are means.
+    The reference is a sequence of positions. Its velocity is their difference over a control step, its acceleration the
+    difference of the velocities, and both stay inside the limits (at 30 Hz the jerk limit of 5000 rad/s^3 never
+    applies). A motion that keeps the limits at every instant keeps them here too, because differences are means.
 
     Args:
-        robot: Its limits.
+        robot: Gives the limits.
         kinematics: Inverse kinematics.
-        dt: Seconds of a control step.
+        dt: Duration of a control step, seconds.
     """
 
     def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
         self.robot, self.kinematics, self.dt = robot, kinematics, dt
         self._dq_max = robot.dq_max * (1.0 + LIMIT_TOLERANCE)
-        self._gain = robot.ddq_max * dt * (1.0 + LIMIT_TOLERANCE)  # most change of the velocity in one control step
+        self._max_change = robot.ddq_max * dt * (1.0 + LIMIT_TOLERANCE)  # of the velocity in one control step, rad/s
         self.reset(robot.q_ready, robot.width_max)
 
     @property
     def reference(self) -> JointReference:
-        """Where the command stands."""
+        """The current joint reference."""
         return self._reference
 
     def reset(self, q: Array, width: float) -> JointReference:
-        """Put the reference at rest at joint positions q (rad, shape (7,)) and an opening (m).
+        """Set the reference to rest at joint positions q (rad, shape (7,)) and an opening (m).
 
         Raises:
             ValueError: A value is not finite.
@@ -60,8 +60,8 @@ class TargetFollower:
         """Move to a target of the hand, or as near to it as the limits allow in one control step.
 
         Args:
-            target: Where its pose is out of reach, the nearest configuration that the solver meets is used.
-            elbow: Wanted angle of the third joint, radians; a pose alone leaves one of seven joints open.
+            target: If its pose is out of reach, the nearest configuration that the solver finds is used.
+            elbow: Wanted angle of the third joint, radians; a pose leaves one degree of freedom undetermined.
 
         Raises:
             ValueError: A value is not finite.
@@ -71,7 +71,7 @@ class TargetFollower:
         return self._advance(self._solve(target.pose, elbow), target.width)
 
     def reach_joints(self, q_target: Array, width: float) -> JointReference:
-        """Move to joint targets (rad, shape (7,), clamped to the limits) and an opening (m), as near as is allowed.
+        """Move to joint targets (rad, shape (7,), clamped to the limits) and an opening (m), as near as allowed.
 
         Raises:
             ValueError: A value is not finite.
@@ -80,12 +80,17 @@ class TargetFollower:
         return self._advance(np.clip(q_target, self.robot.q_lower, self.robot.q_upper), width)
 
     def _solve(self, target: Pose, elbow: float | None) -> Array:
-        if elbow is None:  # from where the target was and not from the arm: its lag must not bend the solution
-            return self.kinematics.solve(
-                target, self._target, max_iterations=MAX_ITERATIONS, position_tolerance=TOLERANCE,
+        if elbow is None:  # starts at the last target, not at the reference, whose lag must not affect the solution
+            result = self.kinematics.solve(
+                target,
+                self._target,
+                max_iterations=MAX_ITERATIONS,
+                position_tolerance=TOLERANCE,
                 rotation_tolerance=TOLERANCE,
-            ).q  # fmt: skip
-        # Two configurations can share pose and elbow, and meet where q[ELBOW] turns back: the motion goes on through.
+            )
+            return result.q
+        # Two configurations can have the same pose and elbow, and they meet where q[ELBOW] turns back. A start ahead of
+        # the reference takes the solution through that point along with the motion.
         joints = self._reference.joints
         ahead = joints.q + joints.dq * self.dt
         return self.kinematics.solve_at_elbow(target, elbow, ahead, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE)
@@ -93,71 +98,70 @@ class TargetFollower:
     def _advance(self, target: Array, width: float) -> JointReference:
         before = self._reference.joints
         width, width_speed = ramp_width(self._reference.width, width, self.robot, self.dt)
-        self._follow(target)
+        self._note_target(target)
         q, dq = self._next(before.q, before.dq)
         joints = JointState(q, dq, (dq - before.dq) / self.dt)
         self._reference = JointReference(joints, width, width_speed)
         return self._reference
 
-    def _follow(self, target: Array) -> None:
-        """Take note of the target, and of how fast it moves; where it jumps, as between two phases, it stands."""
+    def _note_target(self, target: Array) -> None:
+        """Remember the target and its velocity, which is zero when the target jumps, as between two phases."""
         moved = (target - self._target) / self.dt
-        steady = (np.abs(moved - self._target_moved) <= 2.0 * self._gain).all() and (
-            np.abs(moved) <= self._dq_max
-        ).all()
+        within_speed = (np.abs(moved) <= self._dq_max).all()
+        within_change = (np.abs(moved - self._target_moved) <= 2.0 * self._max_change).all()
         self._target, self._target_moved = target, moved
-        self._target_velocity = moved if steady else np.zeros(7)
+        self._target_velocity = moved if within_speed and within_change else np.zeros(7)
 
     def _next(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Return position and velocity one control step nearer to the target."""
-        low, high = self._allowed(q, dq)
-        there = (self._target - q) / self.dt
-        lands = np.abs(there - self._target_velocity) <= self._gain  # and need not shoot past it afterwards
-        if ((low <= there) & (there <= high) & lands).all():
-            return self._target, there
-        behind = self._target - self._target_velocity * self.dt - q
-        chase = _inside(self._target_velocity, behind * self._pace(behind), low, high)
-        return q + chase * self.dt, chase
+        low, high = self._allowed_velocities(q, dq)
+        direct = (self._target - q) / self.dt  # the velocity that reaches the target in this step
+        can_follow = np.abs(direct - self._target_velocity) <= self._max_change  # does not overshoot it afterwards
+        if ((low <= direct) & (direct <= high) & can_follow).all():
+            return self._target, direct
+        lag = self._target - self._target_velocity * self.dt - q
+        velocity = _clamped_sum(self._target_velocity, lag * self._catch_up_rate(lag), low, high)
+        return q + velocity * self.dt, velocity
 
-    def _allowed(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Return the least and the greatest next velocity of each joint: limits kept now, and room left to stop in."""
-        low, high = np.maximum(-self._dq_max, dq - self._gain), np.minimum(self._dq_max, dq + self._gain)
+    def _allowed_velocities(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """Return the least and the greatest next velocity of each joint that keep the limits and leave room to stop."""
+        low, high = np.maximum(-self._dq_max, dq - self._max_change), np.minimum(self._dq_max, dq + self._max_change)
         room_below, room_above = q - self.robot.q_lower, self.robot.q_upper - q
         return (
-            np.clip(-stopping_velocity(room_below, self._gain, self.dt), low, high),
-            np.clip(stopping_velocity(room_above, self._gain, self.dt), low, high),
+            np.clip(-stopping_velocity(room_below, self._max_change, self.dt), low, high),
+            np.clip(stopping_velocity(room_above, self._max_change, self.dt), low, high),
         )
 
-    def _pace(self, behind: Array) -> float:
-        """Return the share per second at which all joints make up what they are behind, and can stop in time."""
-        distance = np.maximum(np.abs(behind), 1e-12)
-        return float((stopping_velocity(distance, self._gain, self.dt) / distance).min())
+    def _catch_up_rate(self, lag: Array) -> float:
+        """Return the share of their lag, per second, that all joints can make up and still stop in time."""
+        distance = np.maximum(np.abs(lag), 1e-12)
+        return float((stopping_velocity(distance, self._max_change, self.dt) / distance).min())
 
 
-def stopping_velocity(distance: Array, gain: float | Array, dt: float) -> Array:
+def stopping_velocity(distance: Array, max_change: float | Array, dt: float) -> Array:
     """Return the greatest velocity from which a joint stops within a distance.
 
-    It moves one control step at this velocity v, the next at v - gain, and so on to zero. In n steps it covers
-    dt (n v - gain n (n - 1) / 2), which is the distance for the least n that does not ask for more than `gain`.
+    It moves one control step at this velocity v, the next at v - c, where c is `max_change`, and so on down to zero. In
+    n steps it covers dt (n v - c n (n - 1) / 2). This equals the distance for the least n that needs no change above c.
 
     Args:
-        distance: Not negative, radians.
-        gain: Change of the velocity in a control step, rad/s.
-        dt: Seconds of a control step.
+        distance: Distance, radians; negative ones count as zero.
+        max_change: Largest change of the velocity in a control step, rad/s.
+        dt: Duration of a control step, seconds.
     """
     distance = np.maximum(distance, 0.0)
-    n = np.maximum(np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * distance / (gain * dt)) - 1.0)), 1.0)
-    velocity: Array = distance / (n * dt) + 0.5 * gain * (n - 1.0)
+    n = np.maximum(np.ceil(0.5 * (np.sqrt(1.0 + 8.0 * distance / (max_change * dt)) - 1.0)), 1.0)
+    velocity: Array = distance / (n * dt) + 0.5 * max_change * (n - 1.0)
     return velocity
 
 
-def _inside(base: Array, chase: Array, low: Array, high: Array) -> Array:
-    """Return base + s * chase inside [low, high], s <= 1 as great as can be; each joint for itself where no s serves.
+def _clamped_sum(base: Array, extra: Array, low: Array, high: Array) -> Array:
+    """Return base + s * extra inside [low, high], with s as near to 1 as possible.
 
-    One s for all keeps the hand near the straight line.
+    One s for all joints keeps the hand near the straight line. If no s is inside the bounds, each joint is clamped.
     """
-    moving = chase != 0.0
-    ends = (np.stack((low, high)) - base)[:, moving] / chase[moving]
+    moving = extra != 0.0
+    ends = (np.stack((low, high)) - base)[:, moving] / extra[moving]
     least, most = ends.min(axis=0).max(initial=-np.inf), ends.max(axis=0).min(initial=np.inf)
-    share = min(max(1.0, least), most) if least <= most else 1.0
-    return np.clip(base + share * chase, low, high)
+    s = min(max(1.0, least), most) if least <= most else 1.0
+    return np.clip(base + s * extra, low, high)

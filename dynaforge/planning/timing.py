@@ -11,19 +11,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline  # type: ignore[import-untyped, unused-ignore]
 
 from dynaforge.geometry import Array, JointTrajectory
-from dynaforge.planning.plots_later import plots_later
+from dynaforge.planning.lazy_pyplot import lazy_pyplot
 from dynaforge.sim.robot import RobotDescription
 
-with plots_later():
+with lazy_pyplot():
     import toppra.solverwrapper
     from toppra.algorithm import TOPPRA
     from toppra.constraint import DiscretizationType, JointAccelerationConstraint, JointVelocityConstraint
     from toppra.interpolator import AbstractGeometricPath
 
-# TOPP-RA asks at every plan which solvers can be imported, a third of its time; the answer does not change.
+# TOPP-RA checks at every plan which solvers can be imported, a third of its time; the answer does not change.
 toppra.solverwrapper.available_solvers = functools.cache(toppra.solverwrapper.available_solvers)
 
-LIMIT_SHARE = 0.97  # of the velocity and acceleration limits: leaves the tracking loop room to correct
+LIMIT_SHARE = 0.97  # share of the velocity and acceleration limits used, which leaves the tracking loop room to correct
 LINE_GRID = 20  # grid intervals of a straight edge
 SPLINE_GRID = 15  # grid intervals for each segment of a spline
 
@@ -44,7 +44,7 @@ class Line(AbstractGeometricPath):  # type: ignore[misc]
 
     @property
     def grid(self) -> Array:
-        """Where TOPP-RA looks, shape (N + 1,)."""
+        """The path positions at which TOPP-RA applies the limits, shape (N + 1,)."""
         return np.linspace(0.0, 1.0, LINE_GRID + 1)
 
     def __call__(self, path_positions: Any, order: int = 0) -> Array:
@@ -73,7 +73,7 @@ class Spline(AbstractGeometricPath):  # type: ignore[misc]
 
     @property
     def grid(self) -> Array:
-        """Where TOPP-RA looks, shape (N + 1,)."""
+        """The path positions at which TOPP-RA applies the limits, shape (N + 1,)."""
         shares = np.arange(SPLINE_GRID) / SPLINE_GRID
         inner = self._knots[:-1, None] + shares * np.diff(self._knots)[:, None]
         return np.append(inner.ravel(), self._knots[-1])
@@ -84,10 +84,10 @@ class Spline(AbstractGeometricPath):  # type: ignore[misc]
 
 
 class PathTimer:
-    """Gives paths the fastest timing inside the joint velocity and acceleration limits.
+    """Times paths as fast as the joint velocity and acceleration limits allow.
 
     Args:
-        robot: Its limits; 97 % of them are used.
+        robot: Gives the limits, of which 97 % are used.
         dt: Seconds between samples.
     """
 
@@ -105,12 +105,12 @@ class PathTimer:
     def time(self, path: Line | Spline) -> JointTrajectory | None:
         """Time a path from rest to rest.
 
-        TOPP-RA holds the limits at its grid points; where a sample between them exceeds a limit, the whole motion is
-        slowed until none does. The duration is stretched to a whole number of samples, so that the last one is the
-        path's end, at rest.
+        TOPP-RA keeps the limits at its grid points. If a sample between them exceeds a limit, the whole motion slows
+        down until none does. The duration is stretched to a whole number of samples, so that the last sample is the end
+        of the path, at rest.
 
         Returns:
-            The samples, or None when TOPP-RA finds no timing.
+            The samples, or None if TOPP-RA finds no timing.
         """
         grid = path.grid
         solver = TOPPRA(self._constraints, path, gridpoints=grid, solver_wrapper="seidel")
@@ -134,7 +134,7 @@ class PathTimer:
         since, sdd = t - times[i], accelerations[i][:, None]
         s = grid[i] + since * (speeds[i] + 0.5 * since * sdd[:, 0])
         sd = (speeds[i] + since * sdd[:, 0])[:, None]
-        rate = times[-1] / (n * self._dt)  # path seconds in a second
+        rate = times[-1] / (n * self._dt)  # seconds of the fastest timing per second
         tangent = path(s, 1)
         q = path(s)
         dq = rate * tangent * sd
@@ -144,15 +144,15 @@ class PathTimer:
         return JointTrajectory(self._dt, q, dq, ddq)
 
     def _excess(self, trajectory: JointTrajectory) -> float:
-        """Return how much slower the motion must be: velocities fall with the factor, accelerations with its square."""
+        """Return the factor by which the motion must slow down: accelerations fall with the square of the factor."""
         velocity = float((np.abs(trajectory.dq) / self._dq_max).max())
         acceleration = float((np.abs(trajectory.ddq) / self._ddq_max).max())
         return max(velocity, math.sqrt(acceleration))
 
 
 def join(parts: Sequence[JointTrajectory]) -> JointTrajectory:
-    """Put trajectories one behind the other; each starts at rest where the one before came to rest."""
-    heads = parts[:-1]
+    """Concatenate trajectories; each starts at rest where the previous one came to rest."""
+    heads = parts[:-1]  # without their last samples, which are the first of the next part
     return JointTrajectory(
         parts[-1].dt,
         np.concatenate([*(part.q[:-1] for part in heads), parts[-1].q]),

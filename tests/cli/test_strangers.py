@@ -186,7 +186,7 @@ def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None
 # and what a user names on the command line to be run.
 OWN_WORKERS = {"sampling/vector_pool.py", "sampling/vector_worker.py", "sampling/processes.py"}
 WRITTEN_HERE = {
-    "benchmarks/suite.py", "cli/main.py", "zoo/scripts.py", "demos/exporters/__init__.py", "planning/plots_later.py",
+    "benchmarks/suite.py", "cli/main.py", "zoo/scripts.py", "demos/exporters/__init__.py", "planning/lazy_pyplot.py",
     "__init__.py", "generators/__init__.py", "reports/extras.py", "tasks/__init__.py",
 }  # fmt: skip
 NAMED_BY_USERS = {"zoo/envs.py", "generators/learner.py", "tasks/user_code.py"}

@@ -1,4 +1,4 @@
-"""Lets toppra be imported without matplotlib, which it needs only for its plots."""
+"""Imports toppra without matplotlib, which it needs only for its plots."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 PLOTTING = ("toppra.algorithm.algorithm", "toppra.parametrizer")
-"""Modules that import pyplot at their top."""
+"""Modules that import pyplot when they are imported."""
 
 
 @contextlib.contextmanager
-def plots_later() -> Iterator[None]:
-    """Import the modules of `PLOTTING` so that they import pyplot when they first plot.
+def lazy_pyplot() -> Iterator[None]:
+    """Make the modules of `PLOTTING`, if they are imported within this context, import pyplot when they first plot.
 
-    Matplotlib takes a third of a worker's start, and refuses to be imported where MPLBACKEND names a backend that
-    another environment has, as the processes below a notebook see it. Only these modules see the change, in their own
-    namespace: no other thread meets it, and an `import matplotlib` anywhere else is the real one.
+    Importing matplotlib takes a third of a worker's start-up time, and fails if MPLBACKEND names a backend of another
+    environment, as it can in processes that a notebook starts. Only these modules see the change, each in its own
+    namespace: other threads are not affected, and `import matplotlib` anywhere else imports the real one.
     """
     finder = _Finder()
     sys.meta_path.insert(0, finder)
@@ -41,7 +41,7 @@ class _Finder(MetaPathFinder):
 
 
 class _Loader(Loader):
-    """Runs a module with an `import` of its own."""
+    """Executes a module with its own `__import__`."""
 
     def __init__(self, loader: Loader) -> None:
         self._loader = loader
@@ -59,7 +59,7 @@ def _import(name: str, *args: Any) -> Any:
 
 
 class _Pyplot:
-    """Is imported when something of it is asked for."""
+    """Stands for matplotlib.pyplot, and imports it when an attribute is first read."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(importlib.import_module("matplotlib.pyplot"), name)
