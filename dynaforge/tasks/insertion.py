@@ -21,29 +21,15 @@ def rack_pick_phases(grasped: str, *, grip: float, precision: float, lift: float
         lift: How far the hand goes up, metres.
         clear: How far the object must have gone up, metres.
     """
+    above, around = Above(grasped, grip + 0.05, Grip.KEPT), Above(grasped, grip, Grip.KEPT)
+    lifted = All((Lifted(grasped, clear), Grasped(grasped)))
     return (
-        Phase(
-            "reach",
-            Mode.GLOBAL,
-            Above(grasped, grip + 0.05, Grip.KEPT),
-            width=0.04,
-            done=Reached(0.015),
-            timeout=2.0,
-            failure="not reached",
-        ),
-        Phase(
-            "descend",
-            Mode.IK,
-            Above(grasped, grip, Grip.KEPT),
-            width=0.04,
-            done=Reached(precision),
-            timeout=1.0,
-            failure="not reached",
-        ),
+        Phase("reach", Mode.GLOBAL, above, width=0.04, done=Reached(0.015), timeout=2.0, failure="not reached"),
+        Phase("descend", Mode.IK, around, width=0.04, done=Reached(precision), timeout=1.0, failure="not reached"),
         Phase(
             "close",
             Mode.IK,
-            Above(grasped, grip, Grip.KEPT),
+            around,
             width=0.0,
             done=Grasped(grasped),
             hold=0.1,
@@ -56,7 +42,7 @@ def rack_pick_phases(grasped: str, *, grip: float, precision: float, lift: float
             Raised(grasped, lift),
             width=0.0,
             takes_hold=True,
-            done=All((Lifted(grasped, clear), Grasped(grasped))),
+            done=lifted,
             timeout=1.5,
             failure="slipped",
         ),
@@ -91,8 +77,9 @@ def insertion_phases(
     """
     hover, low, lowest = (Over(hole, grasped, height, tool=tip, upright=True) for height in heights)
     aligned = Within(grasped, hole, precision, heights[0] + precision, tool=tip)
+    released = All((inside, Released(grasped)))
     return (
-        *_phases_above(hole, hover, aligned=aligned, fails=fails),
+        *_carry_and_align(hole, hover, aligned=aligned, fails=fails),
         Phase(
             "enter",
             Mode.IK,
@@ -104,24 +91,14 @@ def insertion_phases(
             failure=f"missed {hole}",
             fails=fails,
         ),
-        Phase(
-            "insert",
-            Mode.IK,
-            lowest,
-            width=0.0,
-            gate=True,
-            done=inside,
-            timeout=0.8,
-            failure="jammed",
-            fails=fails,
-        ),
+        Phase("insert", Mode.IK, lowest, width=0.0, gate=True, done=inside, timeout=0.8, failure="jammed", fails=fails),
         Phase(
             "release",
             Mode.IK,
             lowest,
             width=0.08,
             gate=True,
-            done=All((inside, Released(grasped))),
+            done=released,
             hold=0.25,
             timeout=1.2,
             failure="not released",
@@ -129,8 +106,8 @@ def insertion_phases(
     )
 
 
-def _phases_above(hole: str, hover: Over, *, aligned: Predicate, fails: tuple[Ending, ...]) -> tuple[Phase, ...]:
-    """Return the phases that carry the grasped object over the hole and follow the hole until they are aligned."""
+def _carry_and_align(hole: str, hover: Over, *, aligned: Predicate, fails: tuple[Ending, ...]) -> tuple[Phase, ...]:
+    """Return the phases that carry the grasped object over the hole and follow the hole until the tip is above it."""
     return (
         Phase(
             "carry",

@@ -74,8 +74,17 @@ def test_rounding_noise_at_a_target_already_reached_is_harmless(
 
 def test_velocities_of_rounding_size_at_the_goal_end_in_rest(local: LocalPlanner, robot: RobotDescription) -> None:
     """Met in training: Ruckig answered this state with NaN, or failed."""
-    q = np.array((-0.8664270872356145, 0.4505453167623313, 0.7488751927752105, -2.548326448904159, -0.8156850225614529,
-                  2.6929260516674693, -2.8174346946112143))  # fmt: skip
+    q = np.array(
+        (
+            -0.8664270872356145,
+            0.4505453167623313,
+            0.7488751927752105,
+            -2.548326448904159,
+            -0.8156850225614529,
+            2.6929260516674693,
+            -2.8174346946112143,
+        )
+    )
     dq = np.array((1.5612511283791264e-17, 0.0, 2.591039199964395e-16, 0.0, 0.0, 3.529303922723926e-24, 0.0))
     ddq = np.array((0.0, 0.0, 0.0, 0.0, 0.0, 1.0587911840678754e-22, 0.0))
     local.follow(JointState(q, dq, ddq), 0.08)

@@ -47,7 +47,7 @@ def body(
     return BodyState(pose, np.array(velocity), np.array(angular_velocity))
 
 
-def things(
+def scene_of(
     *,
     ee: Pose | None = None,
     width: float = 0.08,
@@ -56,7 +56,7 @@ def things(
     pressed: Mapping[str, float] | None = None,
     **objects: BodyState,
 ) -> SceneState:
-    """A scene with any bodies and fixtures; whatever is not said touches nothing."""
+    """A scene with any bodies and fixtures; bodies that are not mentioned touch nothing."""
     return SceneState(
         time=0.0,
         q=np.zeros(7),
@@ -71,9 +71,13 @@ def things(
 
 
 def view(
-    state: SceneState, *, entry: SceneState | None = None, start: SceneState | None = None,
-    grasp: SceneState | None = None, lead_time: float = 0.0,
-) -> PhaseView:  # fmt: skip
+    state: SceneState,
+    *,
+    entry: SceneState | None = None,
+    start: SceneState | None = None,
+    grasp: SceneState | None = None,
+    lead_time: float = 0.0,
+) -> PhaseView:
     """Look at a scene from a phase entered at `entry` of an episode begun at `start`, both by default this scene."""
     entry, start = entry or state, start or state
     return PhaseView(

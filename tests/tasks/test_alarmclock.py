@@ -54,10 +54,16 @@ def pressed(
     """A hand whose axis is `off` metres beside the axis of a button that is pressed in."""
     top = np.array((0.5, 0.0, BUTTON_HEIGHT - by))
     return SceneState(
-        time=1.0, q=np.zeros(7), dq=np.zeros(7), ee=Pose(DOWN_ALONG_Y, top + (off, 0.0, 0.007)), width=width,
+        time=1.0,
+        q=np.zeros(7),
+        dq=np.zeros(7),
+        ee=Pose(DOWN_ALONG_Y, top + (off, 0.0, 0.007)),
+        width=width,
         objects={"alarmclock": BodyState(Pose(np.eye(3), top), np.zeros(3), np.zeros(3))},
-        touching={"alarmclock": touching}, on_table={}, pressed={"alarmclock": by},
-    )  # fmt: skip
+        touching={"alarmclock": touching},
+        on_table={},
+        pressed={"alarmclock": by},
+    )
 
 
 @pytest.mark.parametrize("touching", [(True, True), (True, False), (False, True)])

@@ -41,7 +41,11 @@ def seen(
     """A block at a place relative to a pad that moves and turns, with a velocity relative to the pad where it is."""
     moving = DRIFT + np.cross(SPIN, block) + velocity
     state = SceneState(
-        time=0.0, q=np.zeros(7), dq=np.zeros(7), ee=Pose(DOWN_ALONG_X, PAD + (0.0, 0.0, 0.2)), width=0.08,
+        time=0.0,
+        q=np.zeros(7),
+        dq=np.zeros(7),
+        ee=Pose(DOWN_ALONG_X, PAD + (0.0, 0.0, 0.2)),
+        width=0.08,
         objects={
             "block": BodyState(Pose(matrix_from_rotvec(np.array((tilt, 0.0, 0.0))), PAD + block), moving, SPIN),
             "tray": BodyState(Pose.identity(), np.zeros(3), np.zeros(3)),
@@ -49,7 +53,7 @@ def seen(
         },
         touching={"block": (left, False), "tray": (False, False), "pad": (False, False)},
         on_table={"block": on_table},
-    )  # fmt: skip
+    )
     frames = heading_frames(state, None)
     return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)
 
@@ -121,7 +125,7 @@ def test_what_makes_success_impossible_has_its_reason(reason: str, view: PhaseVi
     assert [why for why, predicate in TASK.impossible if predicate(view, Pose.identity())] == [reason]
 
 
-def test_the_planner_wins_a_slow_tray() -> None:
+def test_the_planner_succeeds_with_a_slow_tray() -> None:
     env = ResidualEnv(TASK)
     stream = CONDITIONS.stream("val", n_strata=8)
     conditions = [next(stream) for _ in range(9)]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import body, things, view
+from hand_made import body, scene_of, view
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Array, Pose
@@ -16,20 +16,20 @@ from dynaforge.tasks.view import heading_frames
 
 DRAWN = [CONDITIONS.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(200)]
 SUCCESS = TASK.phases[-1].done
-LYING = things(bottle=body((0.5, 0.0, HEIGHT)))
+LYING = scene_of(bottle=body((0.5, 0.0, HEIGHT)))
 CONTACTS = ((-APART / 2, WIDE), (APART / 2, NARROW))
-"""(place along the axis, radius) of the two circles that touch the table, metres."""
+"""(position along the axis, radius) of the two circles that touch the table, metres."""
 
 
 def started(condition: Condition) -> SceneState:
     start = launch(condition)["bottle"]
-    return things(
+    return scene_of(
         bottle=body(tuple(start.pose.position), start.pose.rotation, tuple(start.velocity), start.angular_velocity)
     )
 
 
 def centre(condition: Condition) -> Array:
-    """Middle of the circle that the bottle should roll in: on the side of its thin end."""
+    """Return the centre of the circle that the bottle should roll on: it is on the side of the thin end."""
     start = launch(condition)["bottle"]
     flat = start.pose.rotation[:, 2] * (1.0, 1.0, 0.0)
     return start.pose.position + TURN * flat / np.linalg.norm(flat)
@@ -87,21 +87,21 @@ def test_the_hand_waits_for_it_on_its_arc_where_it_enters_the_reach() -> None:
         assert target.rotation[:, 1] @ inward == pytest.approx(0.0, abs=1e-9)
 
 
-def held(height: float, touching: tuple[bool, bool]) -> SceneState:
-    return things(width=0.058, touching={"bottle": touching}, bottle=body((0.5, 0.0, height)))
+def in_hand(height: float, touching: tuple[bool, bool]) -> SceneState:
+    return scene_of(width=0.058, touching={"bottle": touching}, bottle=body((0.5, 0.0, height)))
 
 
 def test_lifted_ten_centimetres_in_both_fingers_counts() -> None:
-    assert SUCCESS(view(held(HEIGHT + 0.101, (True, True)), start=LYING), Pose.identity())
+    assert SUCCESS(view(in_hand(HEIGHT + 0.101, (True, True)), start=LYING), Pose.identity())
 
 
 @pytest.mark.parametrize(
     "state",
     [
-        pytest.param(held(HEIGHT + 0.09, (True, True)), id="in both fingers, only 9 cm up"),
-        pytest.param(held(HEIGHT + 0.15, (True, False)), id="15 cm up, hanging on one finger"),
-        pytest.param(held(HEIGHT + 0.15, (False, False)), id="thrown up"),
-        pytest.param(held(0.085, (True, True)), id="stood up on its base"),
+        pytest.param(in_hand(HEIGHT + 0.09, (True, True)), id="in both fingers, only 9 cm up"),
+        pytest.param(in_hand(HEIGHT + 0.15, (True, False)), id="15 cm up, hanging on one finger"),
+        pytest.param(in_hand(HEIGHT + 0.15, (False, False)), id="thrown up"),
+        pytest.param(in_hand(0.085, (True, True)), id="stood up on its base"),
     ],
 )
 def test_a_near_miss_does_not_count(state: SceneState) -> None:
@@ -111,8 +111,8 @@ def test_a_near_miss_does_not_count(state: SceneState) -> None:
 @pytest.mark.parametrize(
     ("reason", "state"),
     [
-        ("dropped", things(bottle=body((0.5, 0.0, -0.2)))),
-        ("lost track", things(bottle=body((0.5, 0.7, HEIGHT), velocity=(0.0, 0.5, 0.0)))),
+        ("dropped", scene_of(bottle=body((0.5, 0.0, -0.2)))),
+        ("lost track", scene_of(bottle=body((0.5, 0.7, HEIGHT), velocity=(0.0, 0.5, 0.0)))),
     ],
 )
 def test_what_makes_success_impossible_has_its_reason(reason: str, state: SceneState) -> None:
@@ -120,13 +120,13 @@ def test_what_makes_success_impossible_has_its_reason(reason: str, state: SceneS
 
 
 def test_nothing_is_impossible_at_the_start() -> None:
-    """Half round its circle the bottle is far away, yet coming nearer."""
+    """Half round its circle the bottle is far away, but coming nearer."""
     for condition in DRAWN:
         seen = view(started(condition))
         assert not any(predicate(seen, Pose.identity()) for _, predicate in TASK.impossible)
 
 
-def test_the_planner_alone_grasps_a_slow_bottle() -> None:
+def test_the_planner_grasps_a_slow_bottle() -> None:
     middle = {name: (low + high) / 2 for name, (low, high) in CONDITIONS.ranges.items()}
     slow = replace(DRAWN[0], difficulty=0.1, values=middle | {"speed": 0.1, "side": 1.0})
     env = ResidualEnv(TASK)

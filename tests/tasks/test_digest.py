@@ -33,9 +33,9 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
 
 
 def test_every_task_says_in_words_what_to_do_and_one_of_ones_own_by_default() -> None:
-    told = [get_task(name).instruction for name in TASK_NAMES]
-    assert "pick up the rolling can" in told
-    assert len(set(told)) == len(TASK_NAMES)
+    instructions = [get_task(name).instruction for name in TASK_NAMES]
+    assert "pick up the rolling can" in instructions
+    assert len(set(instructions)) == len(TASK_NAMES)
     assert replace(get_task("peg"), instruction="").instruction == "grasp and insert the peg"
 
 

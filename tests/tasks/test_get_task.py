@@ -14,10 +14,16 @@ from dynaforge.tasks import get_task, task_source
 @pytest.mark.parametrize(
     "given",
     [
-        "toycar", "ToyCar", "TOYCAR", "DynaForge/ToyCar-v0", "DynaForge/ToyCarTask-v0", "dynaforge/toycar-v0",
-        "dynaforge:DynaForge/ToyCar-v0", "dynaforge:DynaForge/ToyCarTask-v0",
+        "toycar",
+        "ToyCar",
+        "TOYCAR",
+        "DynaForge/ToyCar-v0",
+        "DynaForge/ToyCarTask-v0",
+        "dynaforge/toycar-v0",
+        "dynaforge:DynaForge/ToyCar-v0",
+        "dynaforge:DynaForge/ToyCarTask-v0",
     ],
-)  # fmt: skip
+)
 def test_a_name_and_the_ids_of_its_envs_are_one_task(given: str) -> None:
     assert get_task(given) is get_task("toycar")
 

@@ -1,4 +1,4 @@
-"""What is put into what moves: Pen and Peg obey the same laws, each with its own sizes and motions."""
+"""Insertion into a moving hole: Pen and Peg obey the same laws, each with its own sizes and motions."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ FLOOR = np.array((0.45, 0.12, 0.024))
 
 @dataclass(frozen=True)
 class Insertion:
-    """A task's module, what is inserted, into what, and how many sizes that has."""
+    """A task's module, the object, what it is inserted into, and how many sizes that has."""
 
     module: ModuleType
-    held: str
+    grasped: str
     into: str
     sizes: int
 
@@ -40,19 +40,24 @@ class Insertion:
         return [self.task.conditions.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(n)]
 
     def placed(self, condition: Condition) -> tuple[Launch, Placement, Placement]:
-        """Return what is inserted as it starts, its rack, and what it goes into."""
+        """Return the starts of the object, of its rack, and of what it is inserted into."""
         starts = self.module.launch(condition)
-        held, rack, into = starts[self.held], starts["rack"], starts[self.into]
-        assert isinstance(held, Launch)
+        grasped, rack, into = starts[self.grasped], starts["rack"], starts[self.into]
+        assert isinstance(grasped, Launch)
         assert isinstance(rack, Placement)
         assert isinstance(into, Placement)
-        return held, rack, into
+        return grasped, rack, into
 
     def scene(
-        self, above: float = 0.0, rotation: Array = STANDING, *, at: Array = FLOOR,
-        touching: tuple[bool, bool] = (False, False), on_table: bool = False,
-    ) -> SceneState:  # fmt: skip
-        """What is inserted with its tip so far above a place, the hole at `FLOOR`, a hand that points down over it."""
+        self,
+        above: float = 0.0,
+        rotation: Array = STANDING,
+        *,
+        at: Array = FLOOR,
+        touching: tuple[bool, bool] = (False, False),
+        on_table: bool = False,
+    ) -> SceneState:
+        """Return a scene: the tip so far above a place, the hole at `FLOOR`, and a hand that points down over it."""
         still = np.zeros(3)
         middle = np.asarray(at) + (0.0, 0.0, above) + self.module.LENGTH / 2 * rotation[:, 2]
         return SceneState(
@@ -62,11 +67,11 @@ class Insertion:
             ee=Pose(DOWN_ALONG_X, FLOOR + (0.0, 0.0, 0.2)),
             width=0.08,
             objects={
-                self.held: BodyState(Pose(rotation, middle), still, still),
+                self.grasped: BodyState(Pose(rotation, middle), still, still),
                 self.into: BodyState(Pose(np.eye(3), FLOOR), still, still),
             },
-            touching={self.held: touching, self.into: (False, False)},
-            on_table={self.held: on_table},
+            touching={self.grasped: touching, self.into: (False, False)},
+            on_table={self.grasped: on_table},
         )
 
     def won(self, state: SceneState) -> bool:
@@ -83,7 +88,7 @@ def view(state: SceneState) -> PhaseView:
 
 @pytest.fixture(
     params=[Insertion(pen, "pen", "holder", len(pen.HOLDERS)), Insertion(peg, "peg", "hole", len(peg.HOLES))],
-    ids=lambda kind: kind.held,
+    ids=lambda kind: kind.grasped,
 )
 def kind(request: pytest.FixtureRequest) -> Insertion:
     found: Insertion = request.param
@@ -92,11 +97,11 @@ def kind(request: pytest.FixtureRequest) -> Insertion:
 
 def test_it_starts_at_rest_on_the_floor_of_its_rack(kind: Insertion) -> None:
     for condition in kind.drawn():
-        held, rack, _ = kind.placed(condition)
+        grasped, rack, _ = kind.placed(condition)
         rests_at = (0.0, 0.0, kind.module.RACK_FLOOR + kind.module.LENGTH / 2)
-        np.testing.assert_allclose(held.pose.position - rack.pose.position, rests_at)
-        assert not held.velocity.any()
-        assert not held.angular_velocity.any()
+        np.testing.assert_allclose(grasped.pose.position - rack.pose.position, rests_at)
+        assert not grasped.velocity.any()
+        assert not grasped.angular_velocity.any()
 
 
 def test_every_size_is_drawn(kind: Insertion) -> None:
@@ -125,7 +130,7 @@ def test_the_hole_turns_either_way() -> None:
 def test_one_follows_its_drive_and_the_other_stays_in_its_rack(kind: Insertion) -> None:
     world = SimScene(kind.task.scene)
     for condition in kind.drawn(4):
-        held, _, into = kind.placed(condition)
+        grasped, _, into = kind.placed(condition)
         world.reset(condition)
         for _ in range(12):
             state = world.step(world.robot.q_ready, 0.08)
@@ -134,7 +139,7 @@ def test_one_follows_its_drive_and_the_other_stays_in_its_rack(kind: Insertion) 
         slid = drives["slide"].position(state.time) if "slide" in drives else 0.0
         expected = into.pose.position + into.pose.rotation @ (kind.module.ARM * turn[:, 0] + (0.0, slid, 0.024))
         np.testing.assert_allclose(state.objects[kind.into].pose.position, expected, atol=5e-4)
-        np.testing.assert_allclose(state.objects[kind.held].pose.position, held.pose.position, atol=1e-3)
+        np.testing.assert_allclose(state.objects[kind.grasped].pose.position, grasped.pose.position, atol=1e-3)
         assert not kind.impossible(state)
     world.close()
 
@@ -163,7 +168,7 @@ def test_what_makes_success_impossible_has_its_reason(kind: Insertion) -> None:
     assert not kind.impossible(kind.scene())
 
 
-def test_the_planner_alone_wins_where_it_hardly_moves(kind: Insertion) -> None:
+def test_the_planner_succeeds_where_the_hole_hardly_moves(kind: Insertion) -> None:
     env = ResidualEnv(kind.task)
     condition = kind.task.conditions.draw(np.random.default_rng(3), 0, 20)
     ends = []
@@ -173,7 +178,7 @@ def test_the_planner_alone_wins_where_it_hardly_moves(kind: Insertion) -> None:
         while not done:
             *_, done, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
         assert info["is_success"], info
-        ends.append(env.world.state.objects[kind.held].pose.position)
+        ends.append(env.world.state.objects[kind.grasped].pose.position)
         if between is not None:
             env.reset(options={"condition": between})
     np.testing.assert_array_equal(ends[0], ends[1])

@@ -61,7 +61,7 @@ def bowl(**changes: Any) -> FixtureSpec:
 
 @dataclass(frozen=True)
 class Faster:
-    """A predicate of somebody's own."""
+    """A user-defined predicate."""
 
     thing: str
     speed: float
@@ -72,7 +72,7 @@ class Faster:
 
 @dataclass(frozen=True)
 class AnyOf:
-    """A composition of somebody's own."""
+    """A user-defined composition."""
 
     words: tuple[Any, ...]
 
@@ -81,7 +81,7 @@ class AnyOf:
 
 
 class Either:
-    """A composition of somebody's own that is no dataclass."""
+    """A user-defined composition that is not a dataclass."""
 
     def __init__(self, one: Any, other: Any) -> None:
         self.one, self.other, self.itself = one, other, self
@@ -266,8 +266,8 @@ def test_a_mistake_is_refused_where_it_is_written(name: str) -> None:
         assert word in message
 
 
-def test_what_is_no_mistake_is_taken() -> None:
-    """Lists for tuples, names of modes for modes, a word that cannot judge a scene that nobody simulated."""
+def test_what_is_no_mistake_is_accepted() -> None:
+    """Lists for tuples, names of modes for modes, a word that fails on a scene that was not simulated."""
 
     def slow(view: Any, target: Pose) -> bool:
         return bool(1.0 / view.state.time < 2.0)

@@ -39,7 +39,7 @@ def test_it_reads_back_as_itself(outcome: Outcome) -> None:
     assert pickle.loads(pickle.dumps(outcome)).episodic_return() == outcome.episodic_return()
 
 
-def test_an_info_in_the_midst_of_an_episode_holds_none() -> None:
+def test_an_info_in_the_middle_of_an_episode_contains_none() -> None:
     assert Outcome.of_info({"is_success": False, "residual_mask": 1.0}) is None
 
 

@@ -26,14 +26,18 @@ def seen(
     """A peach at a place relative to a bowl that slides at 0.2 m/s, with a velocity relative to it."""
     drift = np.array((0.0, 0.2, 0.0))
     state = SceneState(
-        time=0.0, q=np.zeros(7), dq=np.zeros(7), ee=Pose(DOWN_ALONG_X, BOWL + (0.0, 0.0, 0.2)), width=0.08,
+        time=0.0,
+        q=np.zeros(7),
+        dq=np.zeros(7),
+        ee=Pose(DOWN_ALONG_X, BOWL + (0.0, 0.0, 0.2)),
+        width=0.08,
         objects={
             "peach": BodyState(Pose(np.eye(3), BOWL + peach), drift + velocity, np.zeros(3)),
             "bowl": BodyState(Pose(np.eye(3), BOWL), drift, np.zeros(3)),
         },
         touching={"peach": (left, False), "bowl": (False, False)},
         on_table={"peach": False},
-    )  # fmt: skip
+    )
     frames = heading_frames(state, None)
     return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)
 
@@ -102,7 +106,7 @@ def test_what_makes_success_impossible_has_its_reason(reason: str, view: PhaseVi
     assert [why for why, predicate in TASK.impossible if predicate(view, Pose.identity())] == [reason]
 
 
-def test_the_planner_wins_a_slow_peach() -> None:
+def test_the_planner_succeeds_with_a_slow_peach() -> None:
     env = ResidualEnv(TASK)
     env.reset(options={"condition": next(CONDITIONS.stream("val", n_strata=8))})
     done, info = False, {}

@@ -3,7 +3,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hand_made import body, scene, things, view
+from hand_made import body, scene, scene_of, view
 
 from dynaforge.geometry import Pose, matrix_from_rotvec
 from dynaforge.tasks.predicates import (
@@ -140,8 +140,8 @@ def test_released_is_touched_by_none(left: bool, right: bool) -> None:
 
 
 def test_narrowed_reads_the_measured_opening() -> None:
-    assert Narrowed(0.05)(view(things(width=0.049)), NOWHERE)
-    assert not Narrowed(0.05)(view(things(width=0.051)), NOWHERE)
+    assert Narrowed(0.05)(view(scene_of(width=0.049)), NOWHERE)
+    assert not Narrowed(0.05)(view(scene_of(width=0.051)), NOWHERE)
 
 
 @pytest.mark.parametrize(
@@ -152,21 +152,21 @@ def test_within_looks_at_the_tool_point_and_not_at_the_origin(tip: tuple[float, 
     """A pen that leans by 30 degrees, its tip 70 mm down its own axis."""
     lean = matrix_from_rotvec((0.0, math.pi / 6, 0.0))
     origin = tuple(tip + lean @ (0.0, 0.0, 0.07))
-    seen = view(things(pen=body(origin, lean), cup=body((0.6, 0.2, 0.0))))
+    seen = view(scene_of(pen=body(origin, lean), cup=body((0.6, 0.2, 0.0))))
     assert Within("pen", "cup", 0.010, 0.02, tool=(0.0, 0.0, -0.07))(seen, NOWHERE) is holds
 
 
 @pytest.mark.parametrize(("tilt", "holds"), [(0.15, True), (0.25, False), (math.pi - 0.1, True), (math.pi / 2, False)])
 def test_upright_counts_either_way_up(tilt: float, holds: bool) -> None:
-    seen = view(things(cube=body((0.5, 0.0, 0.1), matrix_from_rotvec((tilt, 0.0, 0.0)))))
+    seen = view(scene_of(cube=body((0.5, 0.0, 0.1), matrix_from_rotvec((tilt, 0.0, 0.0)))))
     assert Upright("cube", 0.2)(seen, NOWHERE) is holds
 
 
-def test_at_rest_on_a_turning_thing_means_to_turn_with_it() -> None:
+def test_at_rest_on_a_turning_body_means_to_turn_with_it() -> None:
     """10 cm beside the axis of a table that turns at 2 rad/s and moves on at 0.1 m/s: 0.2 m/s along y on top."""
     table = body((0.5, 0.0, 0.0), velocity=(0.1, 0.0, 0.0), angular_velocity=(0.0, 0.0, 2.0))
-    along = view(things(cup=table, ball=body((0.6, 0.0, 0.03), velocity=(0.1, 0.2, 0.0))))
-    still = view(things(cup=table, ball=body((0.6, 0.0, 0.03))))
+    along = view(scene_of(cup=table, ball=body((0.6, 0.0, 0.03), velocity=(0.1, 0.2, 0.0))))
+    still = view(scene_of(cup=table, ball=body((0.6, 0.0, 0.03))))
     assert AtRestOn("ball", "cup", 0.01)(along, NOWHERE)
     assert not AtRestOn("ball", "cup", 0.05)(still, NOWHERE)
 
@@ -183,10 +183,12 @@ def test_at_rest_on_a_turning_thing_means_to_turn_with_it() -> None:
 )
 def test_clicked_takes_a_closed_fingertip_on_the_middle_of_the_button(change: dict[str, object], holds: bool) -> None:
     usual = {
-        "clock": body((0.505, 0.0, 0.1)), "width": 0.0,
-        "touching": {"clock": (True, False)}, "pressed": {"clock": 0.006},
-    }  # fmt: skip
-    assert Clicked("clock", 0.005, 0.008)(view(things(**(usual | change))), NOWHERE) is holds
+        "clock": body((0.505, 0.0, 0.1)),
+        "width": 0.0,
+        "touching": {"clock": (True, False)},
+        "pressed": {"clock": 0.006},
+    }
+    assert Clicked("clock", 0.005, 0.008)(view(scene_of(**(usual | change))), NOWHERE) is holds
 
 
 def test_on_table_is_a_contact() -> None:

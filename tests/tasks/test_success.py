@@ -12,7 +12,7 @@ CAN = get_task("can")
 DT = CAN.scene.control_dt
 
 
-def test_a_hold_begins_anew_where_it_breaks() -> None:
+def test_a_hold_starts_again_after_a_break() -> None:
     hold = Hold(replace(CAN.phases[-1], hold=0.1), control_dt=0.05)
     given = [False, True, True, False, True, True, True, True]
     assert [hold.push(done) for done in given] == [False, False, False, False, False, False, True, True]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hand_made import body, scene, things, view
+from hand_made import body, scene, scene_of, view
 
 from dynaforge.geometry import Pose, matrix_from_rotvec, rotation_z
 from dynaforge.tasks.targets import (
@@ -129,7 +129,7 @@ def fingers(target: Pose) -> np.ndarray:
 def test_a_grip_says_how_the_fingers_stand(grip: Grip, opens: tuple[float, float, float]) -> None:
     box = body((0.5, 0.0, 0.02), rotation_z(0.3), velocity=(0.0, 0.2, 0.0))
     hand = Pose(rotation_z(0.1) @ DOWN_ALONG_X, np.array((0.5, 0.0, 0.3)))
-    target = Above("box", 0.1, grip)(view(things(ee=hand, box=box)))
+    target = Above("box", 0.1, grip)(view(scene_of(ee=hand, box=box)))
     np.testing.assert_allclose(fingers(target), opens, atol=1e-12)
     np.testing.assert_allclose(target.rotation[:, 2], (0, 0, -1), atol=1e-12)
     assert np.linalg.det(target.rotation) == pytest.approx(1.0)
@@ -138,7 +138,7 @@ def test_a_grip_says_how_the_fingers_stand(grip: Grip, opens: tuple[float, float
 @pytest.mark.parametrize("turn", np.arange(-3.0, 3.1, 0.5))
 def test_of_the_faces_of_a_box_the_nearer_pair_is_gripped(turn: float) -> None:
     hand = Pose(rotation_z(0.1) @ DOWN_ALONG_Y, np.array((0.5, 0.0, 0.3)))
-    target = Above("box", 0.1, Grip.FACES)(view(things(ee=hand, box=body((0.5, 0.0, 0.02), rotation_z(turn)))))
+    target = Above("box", 0.1, Grip.FACES)(view(scene_of(ee=hand, box=body((0.5, 0.0, 0.02), rotation_z(turn)))))
     angle = np.arccos((np.trace(target.rotation @ hand.rotation.T) - 1) / 2)
     assert angle <= np.pi / 4 + 1e-9
     across = rotation_z(-turn) @ target.rotation[:, 1]
@@ -162,7 +162,7 @@ def test_catching_is_fixed_in_the_fixture_and_moves_sideways_with_the_object() -
     ledge = body((0.8, 0.1, 0.3), rotation_z(np.pi))
     word = Catching("lemon", "ledge", ahead=0.05, height=-0.02, pitch=np.pi / 6)
     for lemon in ((1.2, 0.13, 0.4), (0.9, 0.13, 0.35)):
-        target = word(view(things(ledge=ledge, lemon=body(lemon))))
+        target = word(view(scene_of(ledge=ledge, lemon=body(lemon))))
         np.testing.assert_allclose(target.position, (0.75, 0.13, 0.28), atol=1e-12)
         np.testing.assert_allclose(target.rotation[:, 2], (np.cos(np.pi / 6), 0, 0.5), atol=1e-12)
         np.testing.assert_allclose(fingers(target), (0, 1, 0), atol=1e-12)
@@ -170,10 +170,10 @@ def test_catching_is_fixed_in_the_fixture_and_moves_sideways_with_the_object() -
 
 
 def test_over_brings_the_tool_point_and_not_the_hand_there() -> None:
-    """A pen held 20 mm beside the hand's axis and 30 mm below, leaning: its tip ends above the cup, upright."""
+    """A pen grasped 20 mm beside the hand's axis and 30 mm below, leaning: its tip ends above the cup, upright."""
     lean = matrix_from_rotvec((0.2, 0.0, 0.0))
     hand = Pose(rotation_z(0.4) @ DOWN_ALONG_Y, np.array((0.5, 0.0, 0.3)))
-    grasp = things(ee=hand, pen=body((0.52, 0.0, 0.27), lean), cup=body((0.6, 0.2, 0.05)))
+    grasp = scene_of(ee=hand, pen=body((0.52, 0.0, 0.27), lean), cup=body((0.6, 0.2, 0.05)))
     tool = (0.0, 0.0, -0.07)
     target = Over("cup", "pen", 0.03, tool=tool, upright=True)(view(grasp, grasp=grasp))
     T_world_pen = target @ (hand.inverse() @ grasp.objects["pen"].pose)
@@ -187,8 +187,8 @@ def test_over_brings_the_tool_point_and_not_the_hand_there() -> None:
 
 
 def test_over_goes_by_the_grasp_and_not_by_what_slipped_since() -> None:
-    grasp = things(pen=body((0.5, 0.0, 0.27)), cup=body((0.6, 0.2, 0.05)))
-    slipped = things(pen=body((0.5, 0.0, 0.20)), cup=body((0.6, 0.2, 0.05)))
+    grasp = scene_of(pen=body((0.5, 0.0, 0.27)), cup=body((0.6, 0.2, 0.05)))
+    slipped = scene_of(pen=body((0.5, 0.0, 0.20)), cup=body((0.6, 0.2, 0.05)))
     word = Over("cup", "pen", 0.03)
     np.testing.assert_array_equal(word(view(slipped, grasp=grasp)).position, word(view(grasp, grasp=grasp)).position)
     assert word(view(slipped)).position[2] > word(view(slipped, grasp=grasp)).position[2]

@@ -44,7 +44,7 @@ def test_a_condition_of_the_task_survives_pickling(task: Task) -> None:
 
 
 def test_the_phase_program_is_complete(task: Task) -> None:
-    objects = {thing.name for thing in (*task.scene.bodies, *task.scene.fixtures)}
+    objects = {item.name for item in (*task.scene.bodies, *task.scene.fixtures)}
     names = [phase.name for phase in task.phases]
     assert len(set(names)) == len(names) == task.n_checkpoints
     for phase in task.phases:
@@ -64,7 +64,7 @@ def test_the_residual_acts_only_where_ik_tracks(task: Task) -> None:
 
 
 def test_success_is_held_for_a_quarter_of_a_second(task: Task) -> None:
-    """A click is over when it is done; everything else must last."""
+    """A click is over as soon as it is done; every other success must last."""
     assert task.phases[-1].hold >= 0.25 or task.skill == "click"
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import body, things, view
+from hand_made import body, scene_of, view
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Pose, rotation_z
@@ -15,7 +15,7 @@ from dynaforge.tasks.toycar import CONDITIONS, HEIGHT, REACH, TASK, WHEEL_RADIUS
 
 DRAWN = [CONDITIONS.draw(np.random.default_rng((8, k)), k % 8, 8) for k in range(200)]
 SUCCESS = TASK.phases[-1].done
-STANDING = things(toycar=body((0.5, 0.0, HEIGHT)))
+STANDING = scene_of(toycar=body((0.5, 0.0, HEIGHT)))
 
 
 def test_the_car_starts_along_its_heading_with_its_wheels_rolling_without_slip() -> None:
@@ -53,22 +53,22 @@ def test_in_physics_the_fastest_car_coasts_straight_and_keeps_its_speed() -> Non
     assert now.pose.position[2] == pytest.approx(HEIGHT, abs=5e-4)
 
 
-def held(height: float, touching: tuple[bool, bool]) -> SceneState:
+def in_hand(height: float, touching: tuple[bool, bool]) -> SceneState:
     hand = Pose(DOWN_ALONG_Y, np.array((0.5, 0.0, height)))
-    return things(ee=hand, width=0.056, touching={"toycar": touching}, toycar=body((0.5, 0.0, height)))
+    return scene_of(ee=hand, width=0.056, touching={"toycar": touching}, toycar=body((0.5, 0.0, height)))
 
 
 def test_lifted_ten_centimetres_in_both_fingers_counts() -> None:
-    assert SUCCESS(view(held(HEIGHT + 0.101, (True, True)), start=STANDING), Pose.identity())
+    assert SUCCESS(view(in_hand(HEIGHT + 0.101, (True, True)), start=STANDING), Pose.identity())
 
 
 @pytest.mark.parametrize(
     "state",
     [
-        pytest.param(held(HEIGHT + 0.09, (True, True)), id="in both fingers, only 9 cm up"),
-        pytest.param(held(HEIGHT + 0.15, (True, False)), id="15 cm up, hanging on one finger"),
-        pytest.param(held(HEIGHT + 0.15, (False, False)), id="thrown up"),
-        pytest.param(held(HEIGHT, (True, True)), id="held, on the table"),
+        pytest.param(in_hand(HEIGHT + 0.09, (True, True)), id="in both fingers, only 9 cm up"),
+        pytest.param(in_hand(HEIGHT + 0.15, (True, False)), id="15 cm up, hanging on one finger"),
+        pytest.param(in_hand(HEIGHT + 0.15, (False, False)), id="thrown up"),
+        pytest.param(in_hand(HEIGHT, (True, True)), id="in both fingers, on the table"),
     ],
 )
 def test_a_near_miss_does_not_count(state: SceneState) -> None:
@@ -78,8 +78,8 @@ def test_a_near_miss_does_not_count(state: SceneState) -> None:
 @pytest.mark.parametrize(
     ("reason", "state"),
     [
-        ("dropped", things(toycar=body((0.5, 0.0, -0.2)))),
-        ("lost track", things(toycar=body((0.5, 0.7, HEIGHT), velocity=(0.0, 0.5, 0.0)))),
+        ("dropped", scene_of(toycar=body((0.5, 0.0, -0.2)))),
+        ("lost track", scene_of(toycar=body((0.5, 0.7, HEIGHT), velocity=(0.0, 0.5, 0.0)))),
     ],
 )
 def test_what_makes_success_impossible_has_its_reason(reason: str, state: SceneState) -> None:
@@ -89,18 +89,18 @@ def test_what_makes_success_impossible_has_its_reason(reason: str, state: SceneS
 def test_nothing_is_impossible_at_the_start() -> None:
     for condition in DRAWN:
         start = launch(condition)["toycar"]
-        state = things(toycar=body(tuple(start.pose.position), start.pose.rotation, tuple(start.velocity)))
+        state = scene_of(toycar=body(tuple(start.pose.position), start.pose.rotation, tuple(start.velocity)))
         assert not any(predicate(view(state), Pose.identity()) for _, predicate in TASK.impossible)
 
 
 @pytest.mark.parametrize("turned", [0.0, 1.0])
 def test_the_fingers_close_across_the_car(turned: float) -> None:
     there = body((0.5, 0.0, HEIGHT), rotation_z(turned), velocity=(math.cos(turned), math.sin(turned), 0.0))
-    target = TASK.phases[3].target(view(things(toycar=there)))
+    target = TASK.phases[3].target(view(scene_of(toycar=there)))
     assert abs(target.rotation[:, 1] @ there.pose.rotation[:, 1]) == pytest.approx(1.0)
 
 
-def test_the_planner_alone_grasps_a_slow_car() -> None:
+def test_the_planner_grasps_a_slow_car() -> None:
     middle = {name: (low + high) / 2 for name, (low, high) in CONDITIONS.ranges.items()}
     slow = replace(DRAWN[0], difficulty=0.1, values=middle | {"speed": 0.1, "side": 1.0})
     env = ResidualEnv(TASK)
