@@ -13,7 +13,7 @@ from dynaforge.demos import DemonstrationDataset
 from dynaforge.generators import ConditionSource, GaveUp, Goal, collect, run_attempts
 from dynaforge.generators.collecting import Engine
 from dynaforge.generators.giving_up import describe_counts
-from dynaforge.generators.ray_engine import connected, run_attempts_on_ray
+from dynaforge.generators.ray_engine import connect_to_ray, run_attempts_on_ray
 
 
 def run(options: argparse.Namespace) -> int:
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 def _engine(options: argparse.Namespace) -> Engine:
     if options.engine == "local":
         return run_attempts
-    connected()  # said before a folder is made
+    connect_to_ray()  # a missing cluster is reported before a folder is made
     return run_attempts_on_ray
 
 

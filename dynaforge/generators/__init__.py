@@ -1,6 +1,6 @@
-"""What makes episodes: the planner, the residual policy, the oracle; run on all cores.
+"""Generators make episodes: the planner, a residual policy, the oracle, a learner; attempts run on all cores.
 
-Each name is imported when it is first used, so that `dynaforge.generators.names` loads no physics.
+Each name is imported when it is first used, so that importing `dynaforge.generators.names` loads no physics.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Runs attempts on all cores; every one of them comes back with an outcome."""
+"""Attempts on all cores; each of them comes back with an outcome."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.user_code import in_one_line
 
-TIMEOUT = 120.0  # seconds of wall time after which an attempt is taken to hang
+TIMEOUT = 120.0  # seconds of wall time after which an attempt counts as hanging
 ATTEMPTS_PER_WORKER = 2  # attempts given to each worker, so that it never waits for the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """One attempt and, if it left one, its recording."""
+    """One attempt and its recording, if it left one."""
 
     attempt: Attempt
     episode: Episode | None
 
     def in_block(self, block: int) -> Result:
-        """Return the same attempt as one of a block of conditions."""
+        """Return the same attempt as part of a block of conditions."""
         return replace(self, attempt=replace(self.attempt, block=block))
 
 
+# The state of a worker process:
 _env: Any = None
 _generator: Generator | None = None
-_fault = ""  # why there is no env
+_start_error = ""  # why there is no env
 
 
 def run_attempts(
@@ -48,54 +49,54 @@ def run_attempts(
 ) -> Iterator[Result]:
     """Attempt every condition and yield the results in order.
 
-    An exception or the death of a worker is a failed attempt with a reason: nothing leaves the denominator.
+    An exception or the death of a worker is a failed attempt with a reason, so no attempt goes uncounted.
 
     Args:
         task: The task.
-        generator: What attempts.
+        generator: What attempts the conditions.
         conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
-        workers: Processes; by default as many as the cores that this process may use.
+        workers: Number of processes; by default one per core that this process may use.
 
     Raises:
-        NoWorkers: Workers cannot even start, or the generator cannot be made in them; says why.
+        NoWorkers: Workers cannot start, or the env cannot be made in them; the message says why.
     """
     yield from in_order(_Processes(task, generator, workers or usable_cores()), conditions, block=block)
 
 
-class Attempters(Protocol):
-    """Workers of any kind and the attempts they were given, oldest first."""
+class Workers(Protocol):
+    """Workers of any kind, and the attempts that they were given, oldest first."""
 
     @property
     def running(self) -> Sized:
-        """The attempts under way."""
+        """The attempts in progress."""
 
     def hand_out(self, source: Iterator[Condition]) -> None:
-        """Take as many conditions as keep every worker busy."""
+        """Take as many conditions as keep all workers busy."""
 
     def next_result(self) -> Result:
-        """Wait for the oldest attempt; a worker that died or hung is replaced."""
+        """Wait for the oldest attempt; a worker that died or hangs is replaced."""
 
     def kill(self) -> None:
         """End all workers."""
 
 
-def in_order(attempters: Attempters, conditions: Iterable[Condition], *, block: int) -> Iterator[Result]:
+def in_order(workers: Workers, conditions: Iterable[Condition], *, block: int) -> Iterator[Result]:
     """Attempt every condition and yield the results in order; the workers end with the iteration.
 
     Args:
-        attempters: The workers.
+        workers: What makes the attempts.
         conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
     """
     source = iter(conditions)
     try:
-        attempters.hand_out(source)
-        while attempters.running:
-            yield attempters.next_result().in_block(block)
-            attempters.hand_out(source)
+        workers.hand_out(source)
+        while workers.running:
+            yield workers.next_result().in_block(block)
+            workers.hand_out(source)
     finally:
-        attempters.kill()
+        workers.kill()
 
 
 class _Processes:
@@ -104,7 +105,7 @@ class _Processes:
     def __init__(self, task: Task, generator: Generator, size: int) -> None:
         self.running: list[tuple[Condition, Future[Result]]] = []
         self._size, self._task, self._generator = size, task, generator
-        self._pool = self._make()
+        self._pool = self._new_pool()
 
     def hand_out(self, source: Iterator[Condition]) -> None:
         for condition in islice(source, ATTEMPTS_PER_WORKER * self._size - len(self.running)):
@@ -117,57 +118,64 @@ class _Processes:
         except TimeoutError:
             result = self._failed(condition, f"it ran for {TIMEOUT:g} s")
         except BrokenProcessPool:
-            result = self._alone(condition)  # who killed the worker is known only of a condition that runs alone
+            result = self._attempt_alone(condition)  # only this shows whether this attempt killed the worker
         self.kill()
-        self._pool = self._make()
-        waiting, self.running = [c for c, _ in self.running], []
-        for other in waiting:
-            self._submit(other)
+        self._pool = self._new_pool()
+        waiting, self.running = [waiting for waiting, _ in self.running], []
+        for condition in waiting:
+            self._submit(condition)
         return result
 
     def kill(self) -> None:
         kill_pool(self._pool)
 
-    def _make(self) -> ProcessPoolExecutor:
+    def _new_pool(self) -> ProcessPoolExecutor:
         return worker_pool(self._size, _start, self._task, self._generator)
 
     def _submit(self, condition: Condition) -> None:
         try:
             future = self._pool.submit(_attempt, condition)
-        except BrokenProcessPool as error:  # a worker died meanwhile: its condition finds that out in its turn
+        except BrokenProcessPool as error:  # a worker died meanwhile; `next_result` deals with it in turn
             future = Future()
             future.set_exception(error)
         self.running.append((condition, future))
 
-    def _alone(self, condition: Condition) -> Result:
+    def _attempt_alone(self, condition: Condition) -> Result:
+        """Attempt a condition in a process of its own."""
         try:
             with started_pool(1, _start, self._task, self._generator, timeout=TIMEOUT) as pool:
                 return pool.submit(_attempt, condition).result(timeout=TIMEOUT)
         except (BrokenProcessPool, TimeoutError) as error:
             return self._failed(condition, type(error).__name__)
 
-    def _failed(self, condition: Condition, why: str) -> Result:
-        return failed_attempt(condition, self._generator.name, f"worker lost: {why}")
+    def _failed(self, condition: Condition, problem: str) -> Result:
+        return failed_attempt(condition, self._generator.name, f"worker lost: {problem}")
 
 
 def _start(task: Task, generator: Generator) -> None:
-    global _env, _generator, _fault
+    global _env, _generator, _start_error
     _generator = generator
     try:
         _env = make_env(generator, task)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - told by the first attempt: here it would only end the worker
-        _fault = in_one_line(error)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - here it would only end the worker; the first attempt raises it
+        _start_error = in_one_line(error)
 
 
 def _attempt(condition: Condition) -> Result:
     assert _generator is not None
-    if _fault:
-        raise NoWorkers(_fault)
+    if _start_error:
+        raise NoWorkers(_start_error)
     return attempt_once(_env, _generator, condition)
 
 
 def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result:
-    """Attempt a condition in this process; an exception is a failed attempt with a reason."""
+    """Attempt a condition in this process; an exception is a failed attempt with a reason.
+
+    Args:
+        env: The env that `make_env` made for the generator.
+        generator: What attempts the condition.
+        condition: The condition.
+    """
     start = time.perf_counter()
     try:
         episode = generator.attempt(env, condition)

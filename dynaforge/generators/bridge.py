@@ -1,4 +1,4 @@
-"""Between an export and the env that its actions belong to: a policy learned from the one acts in the other."""
+"""From an export to the env of its actions: a policy learned from the one acts in the other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
 
 EXPORTED = ActionLayout(elbow=True)
-"""What an action is in an export, unless it was asked for something else."""
+"""The layout of an action in an export with default options."""
 
 
 class ExportBridge:
@@ -27,10 +27,10 @@ class ExportBridge:
     Args:
         task: The task, or its name.
         layout: Which numbers an action of the export consists of.
-        settings: Cameras of the export's pictures and points; None for an export without.
+        settings: Settings of the pictures and points in the export; None for an export without them.
 
     Raises:
-        ValueError: No such task, or a layout or settings that are none.
+        ValueError: The task is unknown, or `layout` or `settings` is of another type.
     """
 
     def __init__(
@@ -41,22 +41,22 @@ class ExportBridge:
         self.env = TaskEnv(task, **layout.env_arguments, visuals=False if settings is None else "plain")
         self.layout = layout
         self._views = None if settings is None else CameraViews(settings)
-        self._signs: dict[str, NDArray[Any]] | None = None  # of quaternions so far; no episode yet
+        self._last_quats: dict[str, NDArray[Any]] | None = None  # None before the first episode
 
     def reset(self, condition: Condition) -> dict[str, NDArray[Any]]:
         """Start the episode of a condition and return its first observation."""
         self.env.reset(options={"condition": condition})
-        self._signs = {}
+        self._last_quats = {}
         return self.observation()
 
     def step(self, action: ArrayLike) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Take one control step with one row of actions, and return what `gymnasium.Env.step` does.
 
         Args:
-            action: Shape (d,), named by `layout.names`; what lies outside the action space is clipped.
+            action: Shape (d,), with components as in `layout.names`; values outside the action space are clipped.
 
         Raises:
-            ValueError: Another number of components, NaN or infinity, or numbers that mean no rotation.
+            ValueError: The number of components is wrong, one is not finite, or they describe no rotation.
         """
         row = np.asarray(action, dtype=np.float64)
         if row.shape != (len(self.layout.names),):
@@ -67,27 +67,27 @@ class ExportBridge:
         if np.isfinite(row).all():
             row = np.clip(row, self.env.action_space.low, self.env.action_space.high)  # type: ignore[attr-defined]
             if self.layout.mode == "ee":
-                self.layout.hand_target(row)  # from a policy that was taught rotations, none is a mistake
+                self.layout.hand_target(row)  # raises: a policy that learned rotations must not give anything else
         _, reward, done, truncated, info = self.env.step(row.astype(np.float32))
         return self.observation(), reward, done, truncated, info
 
     def observation(self) -> dict[str, NDArray[Any]]:
-        """Return what an export says of the state now, by the names of robomimic's `obs`.
+        """Return the present state as an export contains it, with the names of robomimic's `obs`.
 
         The robot's `ee_position` (3), `ee_quat_wxyz` (4), `width` (1), `q` (7), `dq` (7); `contact` (2); `state`, the
-        first four of these side by side (15), as LeRobot's `observation.state`; of every object
+        first four of these side by side (15), as LeRobot's `observation.state`; for every object
         `<name>_position` and so on, and `object_state`, all of these side by side; with settings `<camera>_image`
         (H, W, 3) uint8, `<camera>_depth` (H, W) uint16 in tenths of a millimetre, `points` and `point_colors`.
 
         Raises:
             RuntimeError: Called before `reset`.
         """
-        if self._signs is None:
+        if self._last_quats is None:
             raise RuntimeError("observation() before reset(): call reset(condition) first.")
         state = self.env.world.state
         steps = measured([state], self.env.task)
         robot, objects = robot_columns(steps), object_columns(steps)
-        observation = {name: self._steady(name, column[0]) for name, column in (robot | objects).items()}
+        observation = {name: self._with_steady_sign(name, column[0]) for name, column in (robot | objects).items()}
         observation["contact"] = contact_columns(steps)[0]
         observation["state"] = np.concatenate([observation[name] for name in STATE])
         observation["object_state"] = np.concatenate([observation[name] for name in objects])
@@ -99,12 +99,12 @@ class ExportBridge:
         """Release physics; safe to call more than once."""
         self.env.close()
 
-    def _steady(self, name: str, value: NDArray[Any]) -> NDArray[Any]:
-        """Keep the sign of a quaternion from one control step to the next, as exports do."""
+    def _with_steady_sign(self, name: str, value: NDArray[Any]) -> NDArray[Any]:
+        """Return a value, a quaternion with the sign of its value at the control step before, as in exports."""
         if name.endswith("_quat_wxyz"):
-            assert self._signs is not None
-            before = self._signs.get(name, value)
-            self._signs[name] = value = -value if float(value @ before) < 0.0 else value
+            assert self._last_quats is not None
+            before = self._last_quats.get(name, value)
+            self._last_quats[name] = value = -value if float(value @ before) < 0.0 else value
         return value
 
 
@@ -119,17 +119,17 @@ def _pictures(views: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def acts_again(bridge: ExportBridge, condition: Condition, actions: NDArray[Any]) -> bool:
-    """Tell whether the actions of a recording succeed in the env from the same start; the last one is held on.
+def succeeds_again(bridge: ExportBridge, condition: Condition, actions: NDArray[Any]) -> bool:
+    """Return whether the actions of a recording succeed in the env under the same condition; the last one is repeated.
 
     Args:
-        bridge: The env, of the actions' layout.
-        condition: What fixed the recording.
-        actions: Shape (T, d).
+        bridge: The env, with the layout of the actions.
+        condition: The condition of the recording.
+        actions: The actions, shape (T, d).
     """
     bridge.env.reset(options={"condition": condition})
-    k = 0
+    step = 0
     while bridge.env.outcome is None:
-        bridge.env.step(actions[min(k, len(actions) - 1)])
-        k += 1
+        bridge.env.step(actions[min(step, len(actions) - 1)])
+        step += 1
     return bridge.env.outcome.success

@@ -1,4 +1,4 @@
-"""Generators by the names that commands give them, and the policies they run."""
+"""Generators by the names that commands use, and the policies that they run."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def make_generator(
     learner: str | None = None,
     observations: Path | None = None,
 ) -> Generator:
-    """Make a generator by name.
+    """Return a new generator.
 
     Args:
         name: One of `GENERATORS`.
         task: What it attempts.
-        policy: Policy file of "residual" and "exploring"; None takes the one that is shipped for the task.
-        sigma: Standard deviation of the noise of "exploring", in units of the residual action.
+        policy: Policy file for "residual" and "exploring"; None takes the one that is shipped for the task.
+        sigma: Standard deviation of the noise for "exploring", in units of the residual action.
         oracle_tries: Residuals that "oracle" tries on each condition.
-        learner: Source of "learner", "module:function" or "file.py:function".
-        observations: Folder of `dynaforge render`, with whose settings the learner's observations are made.
+        learner: Where the policy of "learner" comes from: "module:function" or "file.py:function".
+        observations: Folder of `dynaforge render` whose settings the observations of "learner" are made with.
 
     Raises:
-        ValueError: Unknown name, or a residual whose policy file does not fit or is not shipped.
+        ValueError: The name is unknown, or the policy file does not fit the task, or none is shipped.
     """
     match name:
         case "planner_only":
@@ -49,19 +49,19 @@ def make_generator(
         case "oracle":
             return Oracle(m=oracle_tries)
         case "learner" if learner is not None:
-            return _learner(learner, observations)
+            return _make_learner(learner, observations)
     raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
 
 
 def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
-    """Read a policy and see that it fits a task.
+    """Read a policy and check that it fits a task.
 
     Args:
-        task: The task that it acts in.
-        path: Its file; None takes the one that is shipped.
+        task: The task.
+        path: The policy file; None takes the one that is shipped for the task.
 
     Raises:
-        FileNotFoundError: No such file.
+        FileNotFoundError: There is no such file.
         ValueError: None is shipped, or the file is damaged, of another task, or of other sizes than the task's env.
     """
     return MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
@@ -81,7 +81,7 @@ def shipped_policy(task: Task) -> Path:
         ) from None
 
 
-def _learner(learner: str, observations: Path | None) -> Generator:
+def _make_learner(learner: str, observations: Path | None) -> Generator:
     from dynaforge.demos.observations import ObservationFolder
 
     settings = ObservationFolder(observations).settings if observations else None

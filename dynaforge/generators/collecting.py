@@ -1,9 +1,9 @@
-"""Collecting demonstrations: attempt conditions of a stream until there are enough; go on after any interruption.
+"""Collecting demonstrations: attempt the conditions of a stream until there are enough; resume after any interruption.
 
-What the folder already holds of a generator counts toward the goal and is not attempted again, so the same call goes
-on after an interruption, which costs only the attempts under way. Attempts under way when the goal is reached are
-recorded too: whether an attempt counts must not depend on how it ends. So the attempts are a prefix of the stream. The
-same holds for giving up, unless one of those under way succeeds after all.
+Attempts of the generator that the folder already contains count toward the goal and are not made again, so the same
+call resumes after an interruption, which costs only the attempts in progress. Attempts in progress when the goal is
+reached are recorded too: whether an attempt counts must not depend on how it ends. The attempts are therefore a prefix
+of the stream. The same is true of giving up, unless one of the attempts in progress succeeds after all.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class Goal:
     """When collecting ends.
 
     Attributes:
-        demos: Successes wanted; None for any number.
-        attempts: Attempts at most, successful or not; None for any number.
-        give_up_after: Attempts in a row without a success after which there is no hope; 0 for never. By default 20 for
-            each of `demos`, at least 50; never where `demos` is None, since then failures are what is asked for too.
+        demos: Number of successes to collect; None for no limit.
+        attempts: Number of attempts at most, successful or not; None for no limit.
+        give_up_after: Attempts in a row without a success after which collecting gives up; 0 for never. By default 20
+            for each of `demos`, and at least 50; never where `demos` is None, since failures are asked for too then.
     """
 
     demos: int | None
@@ -50,17 +50,17 @@ class Goal:
         if self.demos is None and self.attempts is None:
             raise ValueError("Goal has neither demos nor attempts, so collecting would never end; give one of them.")
 
-    def reached(self, done: Sequence[Attempt], under_way: int) -> bool:
-        """Tell whether no other attempt is needed beside those done and those under way."""
+    def reached(self, done: Sequence[Attempt], in_progress: int) -> bool:
+        """Return whether no attempt is needed besides those done and those in progress."""
         enough = self.demos is not None and sum(attempt.success for attempt in done) >= self.demos
-        return enough or (self.attempts is not None and len(done) + under_way >= self.attempts)
+        return enough or (self.attempts is not None and len(done) + in_progress >= self.attempts)
 
     def should_give_up(self, failures: int) -> bool:
-        """Tell whether so many failures in a row are too many."""
-        most = self.give_up_after
-        if most is None:
-            most = 0 if self.demos is None else max(MIN_ATTEMPTS, 20 * self.demos)
-        return 0 < most <= failures
+        """Return whether so many failures in a row are too many."""
+        limit = self.give_up_after
+        if limit is None:
+            limit = 0 if self.demos is None else max(MIN_ATTEMPTS, 20 * self.demos)
+        return 0 < limit <= failures
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +68,8 @@ class ConditionSource:
     """Conditions to attempt: a block of a stream, or a share of it.
 
     Attributes:
-        block: Which block of the stream "train".
-        shard: (i, n): of every n conditions the i-th; collectors with different i never meet.
+        block: Block of the stream "train".
+        shard: (i, n) takes every n-th condition from the i-th on; collectors with different i have none in common.
     """
 
     block: int = 0
@@ -80,7 +80,7 @@ class ConditionSource:
         check_shard(self.shard)
 
     def conditions(self, task: Task) -> Iterator[Condition]:
-        """Iterate over the conditions, without end."""
+        """Return the conditions, an endless stream."""
         return task.conditions.stream("train", self.block, shard=self.shard)
 
 
@@ -95,32 +95,32 @@ def collect(
     engine: Engine = run_attempts,
     on_attempt: Callable[[Attempt], None] = lambda attempt: None,
 ) -> list[Attempt]:
-    """Attempt conditions until the goal is reached, each attempt recorded as it ends.
+    """Attempt conditions until the goal is reached, and record each attempt as it ends.
 
     Args:
-        dataset: Open for adding. What it holds of this generator counts, too.
+        dataset: A dataset opened for adding. Attempts of this generator that it contains already count, too.
         task: The task.
-        generator: What attempts.
+        generator: What attempts the conditions.
         goal: When to end.
-        source: Conditions, by default block 0.
-        workers: Processes; all cores by default.
-        engine: What runs attempts: `run_attempts`, or `run_attempts_on_ray`.
+        source: The conditions; by default block 0.
+        workers: Number of processes; by default one per core.
+        engine: What runs attempts: `run_attempts` or `run_attempts_on_ray`.
         on_attempt: Called with every attempt, those found in the folder first.
 
     Returns:
-        All attempts of this generator at these conditions that the folder now holds.
+        All attempts of this generator at these conditions that the folder now contains.
 
     Raises:
         ValueError: The folder holds attempts of another policy, or with another definition of the task; or an argument
             is malformed.
-        GaveUp: So many attempts in a row failed that there is no hope, see `Goal`.
+        GaveUp: Too many attempts in a row failed, see `Goal`.
     """
     source = ConditionSource() if source is None else source
     _check_arguments(dataset, task, goal, source, workers)
     dataset.note_source(generator.name, _provenance(generator, task))
     progress = _Progress(dataset, generator.name, goal, source.conditions(task), on_attempt)
     while not progress.reached:
-        progress.check_hope()
+        progress.check_failures()
         for result in engine(task, generator, progress.missing(), block=source.block, workers=workers):
             progress.record(result)
     return progress.done
@@ -143,8 +143,8 @@ class _Progress:
     """How far collecting has come along its stream of conditions.
 
     Args:
-        dataset: Where attempts are recorded. What it holds of the generator, whole, is not attempted again.
-        generator: Name of what attempts.
+        dataset: Where attempts are recorded. Complete attempts of the generator that it contains are not made again.
+        generator: Name of the generator.
         goal: When to end.
         conditions: The stream.
         on_attempt: Called with every attempt, in the order of the stream.
@@ -166,36 +166,37 @@ class _Progress:
         found = (a for a in dataset.attempts() if a.generator == generator and a.id not in missing)
         self._found = {attempt.condition.id: attempt for attempt in found}
         self._generator = generator
-        self._under_way = self._failures = 0  # the latter in a row
+        self._in_progress = 0
+        self._failures = 0  # in a row
         self.done: list[Attempt] = []
 
     @property
     def reached(self) -> bool:
-        """Whether the goal needs no attempt beside those done and under way."""
-        return self._goal.reached(self.done, self._under_way)
+        """Whether the goal needs no attempt besides those done and those in progress."""
+        return self._goal.reached(self.done, self._in_progress)
 
-    def check_hope(self) -> None:
+    def check_failures(self) -> None:
         """Raise GaveUp if too many attempts in a row failed."""
         if self._goal.should_give_up(self._failures):
             raise GaveUp(f"No success in {self._failures} attempts in a row by {self._generator!r}", self.done)
 
     def missing(self) -> Iterator[Condition]:
-        """Yield the conditions still to be attempted, for as long as there is need and hope."""
+        """Yield the conditions still to be attempted, until the goal is reached or too many attempts failed."""
         for condition in self._conditions:
             if condition.id in self._found:
                 self._note(self._found[condition.id])
             elif self.reached or self._goal.should_give_up(self._failures):
-                # Those under way decide whether it is wanted after all.
+                # The attempts in progress decide whether this condition is needed after all.
                 self._conditions = chain((condition,), self._conditions)
                 return
             else:
-                self._under_way += 1
+                self._in_progress += 1
                 yield condition
 
     def record(self, result: Result) -> None:
-        """Record an attempt at a condition that `missing` gave out."""
+        """Record an attempt at a condition that `missing` yielded."""
         attempt = self._dataset.record(result.attempt, result.episode)
-        self._under_way -= 1
+        self._in_progress -= 1
         self._note(attempt)
 
     def _note(self, attempt: Attempt) -> None:

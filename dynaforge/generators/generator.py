@@ -1,4 +1,4 @@
-"""What makes an episode out of a condition: the planner alone, or planner and residual."""
+"""Generators in a `ResidualEnv`: they turn a condition into an episode, with the planner only or with a residual."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class ResidualPolicy(Protocol):
 
 
 class Generator(Protocol):
-    """Attempts a condition; picklable, so that workers can run it.
+    """Attempts conditions; picklable, so that workers can run it.
 
-    One that acts in another env than a `ResidualEnv` has `make_env(task)`, which makes what `attempt` is given.
+    A generator that acts in another env than `ResidualEnv` has a method `make_env(task)`, which returns that env.
     """
 
     @property
@@ -49,17 +49,17 @@ class Generator(Protocol):
 
 
 def make_env(generator: Generator, task: Task) -> Any:
-    """Make the env that a generator acts in."""
+    """Return a new env for a generator to act in."""
     make: Callable[[Task], Any] = getattr(generator, "make_env", ResidualEnv)
     return make(task)
 
 
 class ResidualGenerator:
-    """The planning prior with a residual policy on top; exploration is off.
+    """The planning prior with a residual policy on top, without exploration.
 
     Args:
         policy: The residual policy.
-        policy_hash: Digest of its weights, kept with every episode.
+        policy_hash: Digest of its weights, stored with every episode.
         name: Its name in ledgers and reports.
     """
 
@@ -91,14 +91,14 @@ class ResidualGenerator:
 def episode_of(
     env: WorldEnv, recorder: Recorder, outcome: Outcome, condition: Condition, *, generator: str, policy_hash: str
 ) -> Episode:
-    """Put together what was recorded of an attempt that has just ended.
+    """Return the episode of an attempt that has just ended.
 
     Args:
-        env: Where it ran.
-        recorder: Which listened.
+        env: The env in which it ran.
+        recorder: What recorded it.
         outcome: How it ended.
-        condition: At which it was made.
-        generator: Name of what made it.
+        condition: Its condition.
+        generator: Name of the generator.
         policy_hash: Digest of the policy; "" without one.
     """
     steps = recorder.arrays(outcome.episodic_return())
@@ -122,14 +122,18 @@ def episode_of(
     )
 
 
-def _first_time(steps: Mapping[str, NDArray[Any]], holds: NDArray[np.bool_] | None) -> float | None:
-    """Return the simulated time of the first step at which something holds; None if it never does."""
-    found = np.flatnonzero(holds) if holds is not None else np.empty(0, int)
+def _first_time(steps: Mapping[str, NDArray[Any]], condition: NDArray[np.bool_] | None) -> float | None:
+    """Return the simulated time of the first step at which a condition is true; None if it never is."""
+    found = np.flatnonzero(condition) if condition is not None else np.empty(0, int)
     return float(steps["time"][found[0]]) if len(found) else None
 
 
 class ConstantResidual:
-    """The same residual at every decision; the oracle draws them at random."""
+    """A policy with the same residual at every decision.
+
+    Args:
+        action: The residual, shape (d,).
+    """
 
     def __init__(self, action: NDArray[np.float32]) -> None:
         finite_array("action", action, np.shape(action))
@@ -140,11 +144,11 @@ class ConstantResidual:
 
 
 class ExploringPolicy:
-    """A policy with its exploration left on, Eq. 4; the noise is drawn from the observation, so episodes repeat.
+    """A policy with exploration noise, Eq. 4, whose seed is the observation, so that episodes are reproducible.
 
     Args:
-        policy: Mean of the residual.
-        sigma: Standard deviation, in units of the residual's scale.
+        policy: Returns the mean of the residual.
+        sigma: Standard deviation of the noise, in units of the residual's scale.
     """
 
     def __init__(self, policy: ResidualPolicy, sigma: float) -> None:
@@ -160,7 +164,7 @@ class ExploringPolicy:
 
 
 class PlannerOnly:
-    """The planning prior alone: the same episode with residual 0."""
+    """The planner only: the same episode with a residual of zero."""
 
     name = "planner_only"
 

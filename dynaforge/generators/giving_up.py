@@ -1,4 +1,4 @@
-"""When attempts lead nowhere: an error with the reasons, where waiting longer would not help."""
+"""When attempts lead nowhere: an error that gives the reasons."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 from dynaforge.demos import Attempt
 from dynaforge.generators.attempts import Result
 
-MIN_ATTEMPTS = 50  # attempts that tell as much as any number would, where not one of them goes well
+MIN_ATTEMPTS = 50  # attempts after which more would say nothing new, where none of them succeeds
 
 
 class GaveUp(RuntimeError):  # noqa: N818  the name says what happened
-    """Attempts went on without success, or without leaving anything to measure, for as long as was allowed.
+    """As many attempts as were allowed had no success, or left nothing to measure.
 
     Attributes:
-        attempts: All that were made, those of earlier runs included.
-        problem: What did not happen in how many of them; the message adds the commonest reasons.
+        problem: What did not happen, and in how many attempts; the message adds the commonest reasons.
+        attempts: All attempts, including those of earlier runs.
     """
 
     def __init__(self, problem: str, attempts: Sequence[Attempt]) -> None:
@@ -29,14 +29,26 @@ class GaveUp(RuntimeError):  # noqa: N818  the name says what happened
 
 
 def describe_reasons(attempts: Iterable[Attempt], *, n: int = 3, longest: int = 160) -> str:
-    """Say in one line what failed attempts failed with, the commonest first."""
+    """Return the commonest reasons of the failed attempts, in one line.
+
+    Args:
+        attempts: The attempts, successful or not.
+        n: Number of reasons at most.
+        longest: Characters of a reason at most.
+    """
     return describe_counts(
         Counter(attempt.failure for attempt in attempts if not attempt.success), n=n, longest=longest
     )
 
 
 def describe_counts(reasons: Counter[str], *, n: int = 3, longest: int = 160) -> str:
-    """Say in one line how often what was the reason, the commonest first."""
+    """Return the commonest reasons and how often each occurred, in one line.
+
+    Args:
+        reasons: How often each reason occurred.
+        n: Number of reasons at most.
+        longest: Characters of a reason at most.
+    """
     texts = []
     for reason, count in reasons.most_common(n):
         text = " ".join(reason.split()) or "no reason given"
@@ -45,25 +57,25 @@ def describe_counts(reasons: Counter[str], *, n: int = 3, longest: int = 160) ->
 
 
 def refuse_if_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[Result]:
-    """Pass results on; a generator that only raises has no success rate, not even 0 %.
+    """Yield the results as they come; a generator that only raises has no success rate, not even 0 %.
 
     Args:
-        results: Of an engine; closed, with its workers, when that many are enough.
-        generator: What attempts.
+        results: The results of an engine, which is closed, with its workers, before GaveUp is raised.
+        generator: Name of the generator.
 
     Raises:
         GaveUp: None of the first attempts, `MIN_ATTEMPTS` or all there are, left an episode.
     """
-    nothing: list[Attempt] = []
-    left_any = False
+    without_episode: list[Attempt] = []
+    any_episode = False
     for result in results:
-        left_any = left_any or result.episode is not None
-        if not left_any:
-            nothing.append(result.attempt)
-            if len(nothing) == MIN_ATTEMPTS:
+        any_episode = any_episode or result.episode is not None
+        if not any_episode:
+            without_episode.append(result.attempt)
+            if len(without_episode) == MIN_ATTEMPTS:
                 if isinstance(results, Generator):
                     results.close()
                 break
         yield result
-    if nothing and not left_any:
-        raise GaveUp(f"None of {len(nothing)} attempts by {generator!r} left an episode", nothing)
+    if without_episode and not any_episode:
+        raise GaveUp(f"None of {len(without_episode)} attempts by {generator!r} left an episode", without_episode)

@@ -1,4 +1,4 @@
-"""A policy learned from an export, as a generator: `dynaforge evaluate --learner module:function`."""
+"""The generator that runs a policy learned from an export: `dynaforge evaluate --learner module:function`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from dynaforge.tasks.user_code import in_one_line, module_of_file
 
 
 class Learner(Protocol):
-    """Maps the observation of a control step, in the export's terms, to a row of actions.
+    """Maps the observation of a control step, as an export contains it, to an action.
 
-    It may have `layout`, an `ActionLayout`, where the export was not the default one, and `reset()`, called before each
-    episode, where it keeps a memory, such as actions still to come.
+    It may have an attribute `layout`, an `ActionLayout`, if the export was not made with the default one, and a method
+    `reset()`, called before each episode, if it has a memory such as a queue of actions.
     """
 
     def __call__(self, observation: Mapping[str, NDArray[Any]]) -> ArrayLike:
@@ -40,10 +40,10 @@ class LearnerGenerator:
     Args:
         source: "module:function" or "file.py:function"; the function takes the task's name and returns a `Learner`. It
             is called in every worker.
-        settings: Cameras of the pictures and points that it was trained on.
+        settings: Settings of the pictures and points that it was trained on; None for none.
 
     Raises:
-        ValueError: The source is not of that form, or holds no such function.
+        ValueError: The source is not of that form, or has no such function.
     """
 
     name = "learner"
@@ -55,19 +55,19 @@ class LearnerGenerator:
         self._learner: Learner | None = None
 
     def make_env(self, task: Task) -> ExportBridge:
-        """Make the policy, and the env in whose actions it answers.
+        """Load the policy, and return a new env for it to act in.
 
         Raises:
-            ValueError: Its code fails, or what it returns is no policy.
+            ValueError: The function fails, or what it returns is no policy.
         """
-        load, what = load_function(self.source), f"--learner {self.source}"
+        load, option = load_function(self.source), f"--learner {self.source}"
         try:
             self._learner = load(task.name)
-        except (Exception, SystemExit) as error:  # somebody's code may raise anything
-            raise ValueError(f"{what}: {in_one_line(error)}") from error
-        check_callable(f"{what}: what it returns", self._learner, such_as="a function of an observation")
+        except (Exception, SystemExit) as error:  # the user's code may raise anything
+            raise ValueError(f"{option}: {in_one_line(error)}") from error
+        check_callable(f"{option}: what it returns", self._learner, such_as="a function of an observation")
         layout = getattr(self._learner, "layout", EXPORTED)
-        check_kind(f"{what}: the policy's layout", layout, ActionLayout)
+        check_kind(f"{option}: the policy's layout", layout, ActionLayout)
         return ExportBridge(task, layout, settings=self.settings)
 
     def attempt(self, env: ExportBridge, condition: Condition) -> Episode:
@@ -78,8 +78,8 @@ class LearnerGenerator:
         world.listeners.append(recorder)
         try:
             observation = env.reset(condition)
-            if forget := getattr(self._learner, "reset", None):
-                forget()
+            if reset := getattr(self._learner, "reset", None):
+                reset()
             done = False
             while not done:
                 observation, _, done, _, _ = env.step(self._learner(observation))
@@ -90,31 +90,31 @@ class LearnerGenerator:
 
 
 def load_function(source: str) -> Callable[[str], Learner]:
-    """Import "module:function" or "file.py:function"; a module is looked for in the working folder too.
+    """Import "module:function" or "file.py:function"; a module in the working folder is found too.
 
     Raises:
-        ValueError: Another form, no such module or file, no such function in it, or code that fails.
+        ValueError: The form is another, the module, file or function does not exist, or its code fails.
     """
-    where, _, name = source.rpartition(":")
-    if not where or not name.isidentifier():
+    module_name, _, name = source.rpartition(":")
+    if not module_name or not name.isidentifier():
         raise ValueError(f"--learner is {source!r}; write module:function or file.py:function.")
-    path = Path(where if where.endswith(".py") else f"{where}.py").resolve()
+    path = Path(module_name if module_name.endswith(".py") else f"{module_name}.py").resolve()
     if path.is_file():
         module = module_of_file(path)
-    elif where.endswith(".py"):
-        raise ValueError(f"--learner: no file {where}.")
+    elif module_name.endswith(".py"):
+        raise ValueError(f"--learner: no file {module_name}.")
     else:
-        module = _installed(where)
+        module = _import(module_name)
     function = getattr(module, name, None)
     if not callable(function):
-        raise ValueError(f"--learner: {where} has no function {name!r}.")
+        raise ValueError(f"--learner: {module_name} has no function {name!r}.")
     return function  # type: ignore[no-any-return]
 
 
-def _installed(name: str) -> ModuleType:
+def _import(name: str) -> ModuleType:
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
         raise ValueError(f"--learner: no module {error.name!r} here or installed.") from error
-    except (Exception, SystemExit) as error:  # somebody's code may raise anything
+    except (Exception, SystemExit) as error:  # the user's code may raise anything
         raise ValueError(f"--learner {name}: {in_one_line(error)}") from error

@@ -1,4 +1,4 @@
-"""Attempts made only to be counted: what `evaluate` and `forge` measure."""
+"""Attempts that are only counted, as `evaluate` and `forge` do to measure a generator."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from dynaforge.tasks import Task
 def measure(
     task: Task, generator: Generator, blocks: Iterable[Iterable[Condition]], *, total: int, workers: int | None = None
 ) -> list[Attempt]:
-    """Attempt conditions, with a progress bar, and keep the ledger's line of each.
+    """Attempt conditions, with a progress bar, and return the attempts without recordings.
 
     Args:
-        task: What is attempted.
-        generator: What attempts it.
-        blocks: Conditions of block 0, 1 and so on.
-        total: Conditions in all, for the bar.
-        workers: Processes; by default one per core that this process may use.
+        task: The task.
+        generator: What attempts the conditions.
+        blocks: The conditions of block 0, block 1 and so on.
+        total: Number of conditions in all, for the bar.
+        workers: Number of processes; by default one per core that this process may use.
 
     Raises:
         GaveUp: The generator only raises, so that there is nothing to measure.
@@ -34,5 +34,6 @@ def measure(
         for block, conditions in enumerate(blocks):
             yield from run_attempts(task, generator, conditions, block=block, workers=workers)
 
-    sound = refuse_if_all_raise(iter(results()), generator=generator.name)
-    return [r.attempt for r in tqdm(sound, total=total, leave=False, unit="attempt", desc=generator.name)]
+    measured = refuse_if_all_raise(iter(results()), generator=generator.name)
+    bar = tqdm(measured, total=total, leave=False, unit="attempt", desc=generator.name)
+    return [result.attempt for result in bar]

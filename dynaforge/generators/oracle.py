@@ -1,4 +1,4 @@
-"""The oracle ceiling: which conditions a constant residual could win at all."""
+"""The oracle, an upper bound: on which conditions a constant residual can succeed at all."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from dynaforge.sim.checks import check_whole
 class Oracle:
     """The best of the planner and `m` constant residuals, uniform within the scale, for each condition.
 
-    It knows the outcome beforehand, so it is a ceiling and no generator; a policy that changes its residual over
-    time may beat it.
+    It knows the outcome beforehand, so it is an upper bound and must not collect; a policy that changes its residual
+    over time may exceed it.
 
     Attributes:
-        m: Constant residuals tried, M.
+        m: Number of constant residuals tried, M.
         name: Its name in reports.
     """
 
@@ -34,7 +34,7 @@ class Oracle:
         check_generator_name(self.name)
 
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
-        """Return the first successful try, else the one that got furthest."""
+        """Return the first successful episode, else the one that reached the last checkpoint of all."""
         rng = np.random.default_rng((condition.seed, self.m))
         shape = env.action_space.shape or ()
         best: Episode | None = None

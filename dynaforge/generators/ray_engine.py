@@ -1,4 +1,4 @@
-"""The same attempts on an existing Ray cluster: actors instead of worker processes, replaced when they die."""
+"""Attempts on an existing Ray cluster, with actors instead of worker processes."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from dynaforge.sim import Condition
 from dynaforge.tasks import Task
 from dynaforge.tasks.task_file import VARIABLE
 
-NO_ACTOR_TIMEOUT = 300.0  # seconds without any actor that is up, after which the run ends
+NO_ACTOR_TIMEOUT = 300.0  # seconds without any ready actor after which the run ends
 MAX_ACTOR_DEATHS = 2  # actors that die during an attempt before it counts as failed
 
 
 class _AttemptActor:
-    """The actor: an env of its own, attempt after attempt."""
+    """Makes attempts in an env of its own."""
 
     def __init__(self, task: Task, generator: Generator) -> None:
         self._env, self._generator = make_env(generator, task), generator
 
     def ready(self) -> None:
-        """Return once it is up."""
+        """Return once the actor is ready."""
 
     def attempt(self, condition: Condition) -> Result:
         return attempt_once(self._env, self._generator, condition)
@@ -38,53 +38,53 @@ def run_attempts_on_ray(
 ) -> Iterator[Result]:
     """Attempt every condition on a running Ray cluster and yield the results in order.
 
-    What an actor that died was handed goes to those that are up, and another takes its place, as soon as the cluster
-    has a core for it: work is keyed by condition, so repeating it is harmless. An attempt under which one actor after
-    another falls is a failed attempt.
+    When an actor dies, its attempts go to the others, and a new actor takes its place as soon as the cluster has a core
+    for it. An attempt depends only on its condition, so repeating it is harmless. An attempt during which one actor
+    after another dies is a failed attempt.
 
     Args:
         task: The task; dynaforge must be installed on every node.
-        generator: What attempts.
+        generator: What attempts the conditions.
         conditions: May be endless if the caller stops iterating.
         block: Block number noted with every attempt.
-        workers: Actors, one core each; all cores of the cluster by default.
+        workers: Number of actors, one core each; by default one per core of the cluster.
 
     Raises:
         ImportError: Ray, of the `[ray]` extra, is missing.
         ConnectionError: No cluster is running.
-        NoWorkers: No actor comes up.
+        NoWorkers: No actor becomes ready.
     """
-    ray = connected()
+    ray = connect_to_ray()
     count = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     yield from in_order(_Actors(ray, task, generator, count), conditions, block=block)
 
 
 @dataclass(slots=True, kw_only=True)
-class _Attempt:
-    """An attempt under way.
+class _RunningAttempt:
+    """An attempt in progress.
 
     Attributes:
-        condition: At which.
-        actor: By which; None while it waits for another.
-        reference: Ray's, to its result.
-        alone: Whether the actor had just shown that it is up and has nothing else to do.
-        falls: How many actors have fallen under it while it was alone with them.
+        condition: Its condition.
+        actor: Index of its actor; None while it waits for another.
+        reference: Ray's reference to the result.
+        alone: Whether the actor had just shown that it is ready and has nothing else to do.
+        deaths: Number of actors that died while they had this attempt alone.
     """
 
     condition: Condition
     actor: int | None = None
     reference: Any = None
     alone: bool = False
-    falls: int = 0
+    deaths: int = 0
 
 
 class _Actors:
     """Actors on a Ray cluster."""
 
     def __init__(self, ray: Any, task: Task, generator: Generator, size: int) -> None:
-        self.running: deque[_Attempt] = deque()
+        self.running: deque[_RunningAttempt] = deque()
         self._ray, self._name = ray, generator.name
-        inherited = SINGLE_THREAD | {VARIABLE: os.environ.get(VARIABLE, "")}  # a task of one's own needs its module
+        inherited = SINGLE_THREAD | {VARIABLE: os.environ.get(VARIABLE, "")}  # a user-defined task needs its file
         make = ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": inherited})(_AttemptActor)
         self._make: Callable[[], Any] = lambda: make.remote(task, generator)
         self._actors: list[Any] = [None] * size
@@ -94,19 +94,19 @@ class _Actors:
             self._start(k)
 
     def hand_out(self, source: Iterator[Condition]) -> None:
-        """Give every actor that is up as much as it may have; wait for one if none is."""
-        while (k := self._freest(wait=not self.running)) is not None and self._load[k] < ATTEMPTS_PER_WORKER:
+        """Give every ready actor as many attempts as it may have; wait for an actor if none is ready."""
+        while (k := self._least_loaded(wait=not self.running)) is not None and self._load[k] < ATTEMPTS_PER_WORKER:
             condition = next(source, None)
             if condition is None:
                 return
-            self.running.append(_Attempt(condition=condition))
-            self._give(self.running[-1], k)
+            self.running.append(_RunningAttempt(condition=condition))
+            self._assign(self.running[-1], k)
 
     def next_result(self) -> Result:
         """Wait for the oldest attempt.
 
-        An actor's fall is held against an attempt only if it was alone with an actor that was up: a node takes many
-        actors down at once, and another attempt may have been the cause.
+        The death of an actor counts against an attempt only if the actor was ready and had no other attempt: a failing
+        node takes many actors down at once, and another attempt may have been the cause.
         """
         while True:
             attempt = self.running[0]
@@ -118,15 +118,15 @@ class _Actors:
                 self._replace(attempt.actor)
                 result = failed_attempt(attempt.condition, self._name, f"worker lost: it ran for {TIMEOUT:g} s")
             except self._ray.exceptions.RayError as error:
-                attempt.falls += attempt.alone
+                attempt.deaths += attempt.alone
                 self._replace(attempt.actor)
-                if attempt.falls < MAX_ACTOR_DEATHS:
-                    self._give(attempt, self._idle_one(), alone=True)
-                    self._give_again()
+                if attempt.deaths < MAX_ACTOR_DEATHS:
+                    self._assign(attempt, self._idle_actor(), alone=True)
+                    self._reassign_waiting()
                     continue
                 result = failed_attempt(attempt.condition, self._name, f"worker lost: {type(error).__name__}")
             self.running.popleft()
-            self._give_again()
+            self._reassign_waiting()
             return result
 
     def kill(self) -> None:
@@ -137,30 +137,30 @@ class _Actors:
         self._actors[k], self._load[k] = self._make(), 0
         self._starting[k] = self._actors[k].ready.remote()
 
-    def _give(self, attempt: _Attempt, k: int, *, alone: bool = False) -> None:
+    def _assign(self, attempt: _RunningAttempt, k: int, *, alone: bool = False) -> None:
         self._load[k] += 1
         attempt.actor, attempt.alone, attempt.reference = k, alone, self._actors[k].attempt.remote(attempt.condition)
 
-    def _give_again(self) -> None:
-        """Give what fallen actors had to those that are up."""
+    def _reassign_waiting(self) -> None:
+        """Give the attempts of dead actors to those that are ready."""
         for attempt in self.running:
             if attempt.actor is None:
-                k = self._freest(wait=True)
+                k = self._least_loaded(wait=True)
                 assert k is not None
-                self._give(attempt, k)
+                self._assign(attempt, k)
 
     def _replace(self, k: int) -> None:
-        """Put another actor in the place of one that fell or hangs; what it had waits."""
+        """Replace an actor that died or hangs; its attempts wait for another."""
         self._ray.kill(self._actors[k])
         self._start(k)
         for attempt in self.running:
             if attempt.actor == k:
                 attempt.actor = None
 
-    def _idle_one(self) -> int:
-        """Wait until an actor shows that it is up and through with all it was given."""
+    def _idle_actor(self) -> int:
+        """Wait until an actor shows that it is ready and has finished its attempts; return its index."""
         while True:
-            k = self._freest(wait=True)
+            k = self._least_loaded(wait=True)
             assert k is not None
             try:
                 self._ray.get(self._actors[k].ready.remote(), timeout=TIMEOUT)
@@ -169,25 +169,25 @@ class _Actors:
             else:
                 return k
 
-    def _freest(self, *, wait: bool) -> int | None:
-        """Return the actor with the least to do among those that are up."""
+    def _least_loaded(self, *, wait: bool) -> int | None:
+        """Return the index of the ready actor with the fewest attempts; None if none is ready and `wait` is False."""
         deadline = time.monotonic() + NO_ACTOR_TIMEOUT
         while True:
-            problem = self._greet()
-            up = [k for k in range(len(self._actors)) if k not in self._starting]
-            if up:
-                return min(up, key=lambda k: self._load[k])
+            problem = self._check_starting()
+            ready = [k for k in range(len(self._actors)) if k not in self._starting]
+            if ready:
+                return min(ready, key=lambda k: self._load[k])
             if not wait:
                 return None
             if time.monotonic() > deadline:
                 raise NoWorkers(
                     f"No Ray actor came up within {NO_ACTOR_TIMEOUT:g} s ({problem or 'all wait for a core'}). What is "
-                    "recorded stays. See `ray status` for free cores, and that dynaforge is installed on every node."
+                    "recorded stays. Check `ray status` for free cores, and that dynaforge is installed on every node."
                 )
             self._ray.wait(list(self._starting.values()), num_returns=1, timeout=1.0)
 
-    def _greet(self) -> str:
-        """Find out who has come up, and replace who fell on the way; returns why, if any did."""
+    def _check_starting(self) -> str:
+        """Note the actors that have become ready, and replace those that died; return why one did, or ""."""
         problem = ""
         for k, reference in list(self._starting.items()):
             if not self._ray.wait([reference], timeout=0)[0]:
@@ -202,8 +202,8 @@ class _Actors:
         return problem
 
 
-def connected() -> Any:
-    """Return the module ray, connected to a running cluster.
+def connect_to_ray() -> Any:
+    """Connect to a running Ray cluster and return the module ray.
 
     Raises:
         ImportError: Ray, of the `[ray]` extra, is missing.

@@ -1,4 +1,4 @@
-"""Turns the control steps of an episode into the arrays of an `Episode`."""
+"""Recording of the control steps of an episode, as the arrays of an `Episode`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ from dynaforge.tasks import Task
 
 
 class Recorder:
-    """A listener of `World` that keeps every control step until `arrays` turns them into columns."""
+    """A listener of `World` that keeps every control step until `arrays` turns them into columns.
+
+    Args:
+        task: The task.
+        kinematics: Kinematics of the arm, for the pose of the hand that the joint references give.
+    """
 
     def __init__(self, task: Task, kinematics: ArmKinematics) -> None:
         self._task = task
@@ -27,14 +32,14 @@ class Recorder:
         self._steps.append(step)
 
     def clear(self) -> None:
-        """Forget what was recorded."""
+        """Discard what was recorded."""
         self._steps.clear()
 
     def arrays(self, final_reward: float) -> dict[str, NDArray[Any]]:
-        """Return one array a quantity, leading dimension T; empty when nothing was recorded.
+        """Return one array per quantity, leading dimension T; empty when nothing was recorded.
 
         Args:
-            final_reward: R of Eq. 6, put at the last step.
+            final_reward: R of Eq. 6, the reward of the last step.
         """
         steps = self._steps
         if not steps:
@@ -54,16 +59,16 @@ class Recorder:
         planned = [s.planned for s in steps if s.planned is not None]
         if planned:
             columns |= {
-                "phase": np.array([a.phase for a in planned], dtype=np.int16),
-                "gate": [a.gate for a in planned],
-                "planner_action": [a.target.flat() for a in planned],
+                "phase": np.array([action.phase for action in planned], dtype=np.int16),
+                "gate": [action.gate for action in planned],
+                "planner_action": [action.target.flat() for action in planned],
             }
         return {name: np.asarray(column) for name, column in columns.items()}
 
 
 def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
-    """Return what is measured of states, one column a quantity, named as in `demos.schema`."""
-    held = task.manipulated
+    """Return the measured quantities of states, one column per quantity, named as in `demos.schema`."""
+    contacts = [s.touching[task.manipulated] for s in states]
     columns: dict[str, Any] = {
         "time": [s.time for s in states],
         "q": [s.q for s in states],
@@ -71,8 +76,8 @@ def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
         "ee_position": [s.ee.position for s in states],
         "ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
         "width": [s.width for s in states],
-        "left_contact": [s.touching[held][0] for s in states],
-        "right_contact": [s.touching[held][1] for s in states],
+        "left_contact": [left for left, _ in contacts],
+        "right_contact": [right for _, right in contacts],
     }
     free = {body.name for body in task.scene.bodies}
     for name in states[0].objects:

@@ -1,4 +1,4 @@
-"""Verification of a dataset's recordings in worker processes, one of which a recording may end or hang."""
+"""Verification of recordings in worker processes, since a damaged recording may crash or hang a process."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from dynaforge.generators.repeat import Repeater
 from dynaforge.sampling.processes import started_pool
 from dynaforge.tasks import Task
 
-TIMEOUT = 300.0  # seconds of wall time after which a recording is taken to hang
-WORTH_A_WORKER = {True: 4, False: 400}  # recordings, by whether they are simulated: a worker takes seconds to start
+TIMEOUT = 300.0  # seconds of wall time after which a check counts as hanging
+RECORDINGS_PER_WORKER = {True: 4, False: 400}  # at least, by whether they are simulated: a worker starts in seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,12 +26,12 @@ class VerifyOptions:
     """What is checked.
 
     Attributes:
-        folder: The dataset.
+        folder: Folder of the dataset.
         task: Its task.
-        notes: What lies beside its recordings.
-        replay: Make every recorded attempt again and compare all that it records.
-        audit: Look for what physics forbids.
-        pictures: Render the observations again and compare them.
+        notes: What the folder contains besides the recordings.
+        replay: Whether to make every recorded attempt again and compare the recordings.
+        audit: Whether to look for motion that physics forbids.
+        pictures: Whether to render the observations again and compare them.
     """
 
     folder: Path
@@ -42,43 +42,42 @@ class VerifyOptions:
     pictures: bool = False
 
     def useful_workers(self, most: int) -> int:
-        """Return how many processes are worth starting, up to `most`."""
-        return min(most, -(-len(self.notes.names) // WORTH_A_WORKER[self.replay or self.pictures]))
+        """Return how many processes are worth starting, `most` at most."""
+        return min(most, -(-len(self.notes.names) // RECORDINGS_PER_WORKER[self.replay or self.pictures]))
 
 
 def check_recordings(options: VerifyOptions, names: Sequence[str], *, workers: int = 1) -> Iterator[list[Finding]]:
     """Yield the findings of each recording, in order.
 
-    A recording that ends or hangs the worker that checks it is a finding, and the others are still checked.
+    A recording that crashes or hangs its worker is a finding, and the others are still checked.
 
     Args:
         options: What is checked.
         names: Ids of the recordings.
-        workers: Processes; 1 checks in this one.
+        workers: Number of processes; with 1, this process checks them.
 
     Raises:
-        NoWorkers: Workers cannot even start.
+        NoWorkers: Workers cannot start.
     """
     if workers <= 1:
         with closing(RecordingChecker(options)) as checker:
             yield from map(checker.check, names)
         return
-    file_of, left = DemonstrationDataset(options.folder).file_of, list(names)
-    while left:
-        done = yield from _in_pool(options, left, workers)
-        # Which recording ended a worker is known only where a single worker checks them in turn.
-        near, left = left[done : done + 2 * workers], left[done + 2 * workers :]
-        while near:
-            done = yield from _in_pool(options, near, 1)
-            if done < len(near):
-                yield [
-                    Finding(file_of(near[done]), f"looking at it ends the process, or takes more than {TIMEOUT:g} s")
-                ]
-            near = near[done + 1 :]
+    file_of, remaining = DemonstrationDataset(options.folder).file_of, list(names)
+    problem = f"looking at it ends the process, or takes more than {TIMEOUT:g} s"
+    while remaining:
+        done = yield from _check_in_pool(options, remaining, workers)
+        # A single worker, which checks one recording at a time, shows which of the next ones ended a worker.
+        suspects, remaining = remaining[done : done + 2 * workers], remaining[done + 2 * workers :]
+        while suspects:
+            done = yield from _check_in_pool(options, suspects, 1)
+            if done < len(suspects):
+                yield [Finding(file_of(suspects[done]), problem)]
+            suspects = suspects[done + 1 :]
 
 
-def _in_pool(options: VerifyOptions, names: Sequence[str], workers: int) -> Generator[list[Finding], None, int]:
-    """Yield findings until all are done or a worker dies or hangs; returns how many recordings were done."""
+def _check_in_pool(options: VerifyOptions, names: Sequence[str], workers: int) -> Generator[list[Finding], None, int]:
+    """Yield findings until all are done or a worker dies or hangs; return how many recordings were done."""
     done = 0
     with started_pool(workers, _start, options, timeout=TIMEOUT) as pool:
         try:
@@ -91,7 +90,7 @@ def _in_pool(options: VerifyOptions, names: Sequence[str], workers: int) -> Gene
 
 
 class RecordingChecker:
-    """Checks one recording after another, opening what that needs once.
+    """Checks one recording after another; what this needs is opened once.
 
     Args:
         options: What is checked.
@@ -119,7 +118,7 @@ class RecordingChecker:
         self._stack.close()
 
 
-_checker: RecordingChecker | None = None  # of a worker process
+_checker: RecordingChecker | None = None  # the state of a worker process
 
 
 def _start(options: VerifyOptions) -> None:

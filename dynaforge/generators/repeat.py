@@ -1,4 +1,4 @@
-"""Making an attempt again from its recording: the planner plans anew, only the residual is the one recorded."""
+"""Repetition of an attempt from its recording: the planner plans anew; only the residual comes from the recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dynaforge.tasks import Outcome, Task
 
 
 class Repeater:
-    """Makes recorded attempts at one task again; use it for many.
+    """Makes recorded attempts at one task again; use one for many of them.
 
     Args:
         task: The task.
@@ -24,10 +24,10 @@ class Repeater:
         self._env = ResidualEnv(task)
 
     def __call__(self, episode: Episode) -> Episode:
-        """Run the program of an episode anew and record it: an honest recording is repeated to the bit.
+        """Make the attempt of an episode again and record it; a genuine recording is repeated bit for bit.
 
-        At the beginning of each decision the recorded residual is taken, as far as a policy could have asked for it,
-        and held. Whether the episode ended is the executor's to say, not the recording's.
+        The recorded residual is taken at the beginning of each decision, as far as a policy could have asked for it,
+        and kept during the decision. The executor decides when the episode ends, not the recording.
 
         Raises:
             ValueError: The condition is not one of the task, or no residual was recorded.
@@ -59,23 +59,23 @@ class Repeater:
         world, executor = self._env.world, self._env.executor
         state = world.reset(episode.condition)
         executor.reset(state, episode.condition, world.reference)
-        held: Array | None = None
-        left = 0
+        residual: Array | None = None
+        steps_left = 0  # of the decision
         for recorded in residuals:
             if executor.outcome is not None:
                 break
             if not executor.action.gate:
-                held, left = None, 0
-            elif left == 0:
-                held = self._env.residual_scale.nearest_possible(recorded, executor)
-                left = self._env.task.residual.decision_steps
-            state = world.execute(executor.action, held)
+                residual, steps_left = None, 0
+            elif steps_left == 0:
+                residual = self._env.residual_scale.nearest_possible(recorded, executor)
+                steps_left = self._env.task.residual.decision_steps
+            state = world.execute(executor.action, residual)
             executor.advance(state, world.reference)
-            left = max(left - 1, 0)
+            steps_left = max(steps_left - 1, 0)
         return executor.outcome or Outcome(
             success=False,
             checkpoint=executor.index,
             n_checkpoints=self._env.task.n_checkpoints,
-            failure="it goes on after its last recorded step",
+            failure="it continues after its last recorded step",
             phase=executor.phase.name,
         )

@@ -17,7 +17,7 @@ from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter
 from dynaforge.demos.exporters.frames import Floats, env_of
 from dynaforge.demos.observations import ObservationFolder
-from dynaforge.generators.bridge import ExportBridge, acts_again
+from dynaforge.generators.bridge import ExportBridge, succeeds_again
 from dynaforge.reports.card import Exported, write_card
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -144,7 +144,8 @@ def _replay(task: Task, successes: Sequence[_SampledSuccess], n: int) -> str:
     sample = [successes[k] for k in np.unique(np.linspace(0, len(successes) - 1, n).round().astype(int))]
     bridge = ExportBridge(task, sample[0].layout)
     try:
-        again = [acts_again(bridge, each.condition, each.actions) for each in tqdm(sample, leave=False, unit="replay")]
+        bar = tqdm(sample, leave=False, unit="replay")
+        again = [succeeds_again(bridge, each.condition, each.actions) for each in bar]
     finally:
         bridge.close()
     return f"given to {env_of(task)}, the actions of {sum(again)} of {len(sample)} sampled successes succeed again"

@@ -172,7 +172,7 @@ LABELS: dict[str, tuple[Callable[[Episode], Episode], str]] = {
     ),
     "duration": (lambda e: replace(e, duration=e.duration + 1.0), "its duration is recorded as"),
     "condition": (other_condition, "joint_reference is not what its attempt made again gives from step 0 on"),
-    "length": (cut, "it goes on after its last recorded step"),
+    "length": (cut, "it continues after its last recorded step"),
     "a column left out": (without, "planner_action is missing"),
 }
 

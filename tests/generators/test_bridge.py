@@ -15,7 +15,7 @@ from dynaforge.demos.exporters import Frames, read_frames
 from dynaforge.demos.exporters.frames import env_of
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
 from dynaforge.generators import LearnerGenerator, run_attempts
-from dynaforge.generators.bridge import EXPORTED, ExportBridge, acts_again
+from dynaforge.generators.bridge import EXPORTED, ExportBridge, succeeds_again
 from dynaforge.generators.collecting import Goal, collect
 from dynaforge.tasks import TASK_NAMES, get_task
 
@@ -51,7 +51,7 @@ def share_that_acts(dataset: DemonstrationDataset, task: str, kind: str) -> list
     for frames in frames_of(dataset, kind):
         bridge = bridge or ExportBridge(get_task(task), frames.layout)
         assert all(bridge.env.action_space.contains(row) for row in frames.actions)
-        again.append(acts_again(bridge, frames.episode.condition, frames.actions))
+        again.append(succeeds_again(bridge, frames.episode.condition, frames.actions))
     assert bridge is not None
     bridge.close()
     return again
