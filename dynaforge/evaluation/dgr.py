@@ -190,6 +190,14 @@ def failure_counts(attempts: Iterable[AttemptRecord]) -> dict[str, int]:
     return dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0])))
 
 
+def ranked_reasons(reports: Iterable[DgrReport]) -> list[str]:
+    """Return the failure reasons of all the reports, the most frequent over them together first."""
+    totals: Counter[str] = Counter()
+    for report in reports:
+        totals.update(report.failures)
+    return sorted(totals, key=lambda reason: (-totals[reason], reason))
+
+
 def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:
     """Return one line a report as plain text, and below it the paired gain if given."""
     grid = Table()
@@ -230,7 +238,7 @@ def describe_gain(paired: PairedDifference) -> str:
     p = f"p = {paired.p_value:.2g}" if paired.p_value >= 1e-4 else "p < 0.0001"
     return (
         f"paired gain {100 * paired.difference:+.1f} points, 95 % [{100 * low:+.1f}, {100 * high:+.1f}] "
-        f"({paired.only_b} won, {paired.only_a} lost of {paired.n}; exact McNemar {p})"
+        f"(of {paired.n} conditions {paired.only_b} only now succeed, {paired.only_a} only before; exact McNemar {p})"
     )
 
 

@@ -1,4 +1,4 @@
-"""Reports: figures, films, and one HTML page that holds them. Needs the `[report]` extra when used."""
+"""Reports: figures, films, and HTML pages that contain them. Their functions need the `[report]` extra."""
 
 from dynaforge.reports.comparison import task_figures, write_comparison
 from dynaforge.reports.html import Clip, ReportData, ReportFigure, render_report, write_report

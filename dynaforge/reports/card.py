@@ -11,26 +11,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos import Attempt, DemonstrationDataset, Episode
+from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
 from dynaforge.evaluation import DgrReport
 from dynaforge.files.atomic import atomic_write
+from dynaforge.reports.evaluation import by_generator, reports_of
 from dynaforge.reports.video import contact_sheet
 from dynaforge.tasks import Task
 
 SHEET = "contact.png"
-SHOWN, MOMENTS = 4, 4
+SHEET_EPISODES, SHEET_MOMENTS = 4, 4  # rows and columns of the contact sheet
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What a card tells of an episode: episodes themselves are too large to be kept until it is written.
+    """What the card says about an episode: episodes themselves are too large to keep until it is written.
 
     Attributes:
-        id: Of the episode.
-        steps: Control steps.
-        made_by: Generator, and digest of its policy.
-        versions: Of the packages that it was recorded with, JSON.
+        id: Id of the episode.
+        steps: Number of control steps.
+        made_by: Its generator, and the digest of the policy.
+        versions: Versions of the packages that it was recorded with, as JSON.
     """
 
     id: str
@@ -40,7 +41,7 @@ class Exported:
 
     @staticmethod
     def of(episode: Episode) -> Exported:
-        """Note an episode."""
+        """Take what the card needs from an episode."""
         made_by = " ".join(f"{episode.generator} {episode.meta.get('policy_hash', '')}".split())
         return Exported(episode.id, len(episode), made_by, json.dumps(episode.meta.get("versions", {}), sort_keys=True))
 
@@ -63,31 +64,27 @@ def write_card(
         folder: The export.
         task: The task.
         dataset: What it was made from; the card counts all its attempts, failures too.
-        episodes: What it contains.
+        episodes: The episodes that it contains.
         layout: Name of the format.
-        command: What made it.
+        command: The command that made it.
         licence: An SPDX identifier.
-        contents: More rows of the table, e.g. the names of the components of an action.
-        observations: Rendered pictures, for the contact sheet; without any the episodes shown are simulated again.
+        contents: More rows of the table, e.g. the names of an action's components.
+        observations: Rendered pictures for the contact sheet; None simulates a few episodes again.
 
     Returns:
         Why there is no contact sheet; "" if there is one.
     """
-    middle = np.linspace(0, len(episodes) - 1, min(SHOWN, len(episodes))).astype(int)
-    shown = [dataset[episodes[k].id] for k in middle]
-    attempts = dataset.attempts()
-    try:
-        pictures, labels = _moments(task, shown, observations)
-        atomic_write(folder / SHEET, contact_sheet(pictures, labels, columns=MOMENTS, cell_width=240))
-        problem = ""
-    except ValueError as error:
-        problem = str(error)
-    steps, fps = [e.steps for e in episodes], task.scene.fps
-    reports = [_report(task, attempts, name) for name in sorted({attempt.generator for attempt in attempts})]
-    generators = Counter(e.made_by for e in episodes)
-    won = ", ".join(f"{report.label}: {report.total.successes} of {report.n} attempts" for report in reports)
-    versions = {e.versions for e in episodes}
-    more = "".join(f"| {name} | {value} |\n" for name, value in contents.items())
+    problem = _write_sheet(folder / SHEET, task, dataset, episodes, observations)
+    reports = reports_of(task, by_generator(dataset.attempts()))
+    rows = {
+        **_facts(task, episodes, reports),
+        **contents,
+        "format": layout,
+        "licence": licence,
+        "versions": "; ".join(sorted({episode.versions for episode in episodes})),
+    }
+    table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
+    rates = "\n".join(report.table() for report in reports)
     text = f"""---
 license: {licence.lower()}
 task_categories: [robotics]
@@ -102,16 +99,7 @@ tags: [dynaforge, {task.name}, simulation{", LeRobot" if layout == "lerobot" els
 
 | | |
 |---|---|
-| demonstrations | {len(episodes)}, {sum(steps)} control steps at {fps} Hz ({min(steps)} to {max(steps)} each) |
-| robot | simulated Franka arm and hand (PyBullet), from the ready pose |
-| skill | {task.skill} |
-| instruction | {task.instruction} |
-| randomised | {task.randomisation} |
-| made by | {", ".join(f"{name} ({n})" for name, n in generators.most_common())} |
-| successes | {won}; failures are not hidden |
-{more}| format | {layout} |
-| licence | {licence} |
-| versions | {"; ".join(sorted(versions))} |
+{table}
 
 Made with
 
@@ -120,29 +108,58 @@ Made with
 ```
 
 ```
-{chr(10).join(report.table() for report in reports)}
+{rates}
 ```
 """
     atomic_write(folder / "README.md", text.encode())
     return problem
 
 
-def _report(task: Task, attempts: Sequence[Attempt], generator: str) -> DgrReport:
-    made = [attempt for attempt in attempts if attempt.generator == generator]
-    return DgrReport.from_attempts(made, difficulty_range=task.conditions.difficulty_range, label=generator)
+def _facts(task: Task, episodes: Sequence[Exported], reports: Sequence[DgrReport]) -> dict[str, str]:
+    """Return the rows of the card's table that describe task and episodes."""
+    steps = [episode.steps for episode in episodes]
+    generators = Counter(episode.made_by for episode in episodes)
+    successes = ", ".join(f"{report.label}: {report.total.successes} of {report.n} attempts" for report in reports)
+    return {
+        "demonstrations": f"{len(episodes)}, {sum(steps)} control steps at {task.scene.fps} Hz "
+        f"({min(steps)} to {max(steps)} each)",
+        "robot": "simulated Franka arm and hand (PyBullet), from the ready pose",
+        "skill": task.skill,
+        "instruction": task.instruction,
+        "randomised": task.randomisation,
+        "made by": ", ".join(f"{name} ({n})" for name, n in generators.most_common()),
+        "successes": f"{successes}; every attempt is counted",
+    }
+
+
+def _write_sheet(
+    path: Path,
+    task: Task,
+    dataset: DemonstrationDataset,
+    episodes: Sequence[Exported],
+    observations: ObservationFolder | None,
+) -> str:
+    """Write the contact sheet; return why there is none, or "" if there is one."""
+    rows = np.linspace(0, len(episodes) - 1, min(SHEET_EPISODES, len(episodes))).astype(int)
+    try:
+        pictures, labels = _moments(task, [dataset[episodes[row].id] for row in rows], observations)
+        atomic_write(path, contact_sheet(pictures, labels, columns=SHEET_MOMENTS, cell_width=240))
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _moments(
     task: Task, episodes: Sequence[Episode], observations: ObservationFolder | None
 ) -> tuple[list[NDArray[np.uint8]], list[str]]:
-    """Show a few moments of each episode, from beginning to end.
+    """Return pictures of a few moments of each episode, from beginning to end, with their labels.
 
     Raises:
         ValueError: An episode was not rendered and cannot be simulated again.
     """
     pictures, labels = [], []
     for episode, film in zip(episodes, _films(task, episodes, observations), strict=True):
-        for k in np.linspace(0, len(film) - 1, MOMENTS).astype(int).tolist():
+        for k in np.linspace(0, len(film) - 1, SHEET_MOMENTS).astype(int).tolist():
             pictures.append(film[k])
             labels.append(f"{episode.condition.difficulty:.2f}, {episode.steps['time'][k]:.1f} s")
     return pictures, labels
@@ -151,6 +168,7 @@ def _moments(
 def _films(
     task: Task, episodes: Sequence[Episode], observations: ObservationFolder | None
 ) -> Iterator[NDArray[np.uint8]]:
+    """Yield the pictures of each episode: those of its first camera, or of the front camera, simulated again."""
     if observations is not None and observations.settings.images:
         first = f"{observations.settings.cameras[0].name}/rgb"
         yield from (observations.of(episode)[first] for episode in episodes)

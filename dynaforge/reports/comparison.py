@@ -16,7 +16,16 @@ from dynaforge.training.comparison_table import COLUMNS, cells, comparison_table
 
 
 def write_comparison(folder: Path, comparison: Comparison, *, command: str, date: str) -> Path:
-    """Write `table.txt` and `report.html` into a folder; returns the page.
+    """Write `table.txt` and `report.html` into a folder.
+
+    Args:
+        folder: The folder.
+        comparison: The runs.
+        command: The command that made them.
+        date: The date to print.
+
+    Returns:
+        Path of the page.
 
     Raises:
         ImportError: Matplotlib or Jinja2, of the `[report]` extra, is missing.
@@ -24,7 +33,7 @@ def write_comparison(folder: Path, comparison: Comparison, *, command: str, date
     """
     atomic_write(folder / "table.txt", f"{command}\n\n{comparison_table(comparison)}\n".encode())
     page = folder / "report.html"
-    text = render(
+    html = render(
         COMPARISON,
         title=f"{', '.join(comparison.variants)} on {', '.join(comparison.tasks)}",
         command=command,
@@ -34,15 +43,19 @@ def write_comparison(folder: Path, comparison: Comparison, *, command: str, date
         legend=legend(comparison),
         settings={run.variant: run.settings for run in comparison.runs if run.settings},
     )
-    atomic_write(page, text.encode())
+    atomic_write(page, html.encode())
     return page
 
 
 def _sections(comparison: Comparison) -> Iterator[dict[str, object]]:
-    """Give title, rows and figures of the means and of each task."""
+    """Yield title, rows and figures of the section of the means, if any, and of each task."""
     shared = {variant: comparison.complete_tasks(variant) for variant in comparison.variants}
     if any(len(tasks) > 1 for tasks in shared.values()):
-        rows = [(f"{variant} (mean of {len(t)})", cells(comparison, variant, t)) for variant, t in shared.items() if t]
+        rows = [
+            (f"{variant} (mean of {len(tasks)})", cells(comparison, variant, tasks))
+            for variant, tasks in shared.items()
+            if tasks
+        ]
         yield {"title": "All tasks", "rows": rows, "groups": [], "figures": []}
     for task in comparison.tasks:
         variants = [variant for variant in comparison.variants if comparison.of(task, variant)]
@@ -61,14 +74,21 @@ def _sections(comparison: Comparison) -> Iterator[dict[str, object]]:
 def task_figures(
     comparison: Comparison, task: str, variants: Sequence[str], *, fmt: Format = "svg"
 ) -> Iterator[ReportFigure]:
-    """Draw what a comparison says about a task: learning curves, the frontier of each variant, success unexplored."""
+    """Draw a comparison on one task: learning curves, the frontier of each variant, success without exploration.
+
+    Args:
+        comparison: The runs.
+        task: Name of the task.
+        variants: Names of the variants to draw.
+        fmt: Format of the images.
+    """
     planner = comparison.planner(task)
     if not variants:
         return
     yield ReportFigure(
         "Success in training",
-        "Exploring episodes, mean over training seeds; lines are means of the last 20 updates, faint traces single "
-        "updates. Horizontal: the planner alone, dashed; final policies without exploration, dash-dotted.",
+        "Rollouts, mean over training seeds; lines are means of the last 20 updates, faint traces single "
+        "updates. Horizontal: planner only, dashed; final policies without exploration, dash-dotted.",
         learning_curve(
             {variant: comparison.curve(task, variant) for variant in variants},
             steps={variant: comparison.steps(task, variant) for variant in variants},
@@ -87,8 +107,10 @@ def task_figures(
     probes = {variant: comparison.probes(task, variant) for variant in variants}
     yield ReportFigure(
         "Success without exploration",
-        "One val condition of each of 16 strata at every measurement, mean over training seeds.",
+        "One val condition of each of 16 strata at every probe, mean over training seeds.",
         probe_curve(
-            {variant: p[1] for variant, p in probes.items()}, {variant: p[0] for variant, p in probes.items()}, fmt=fmt
+            {variant: success for variant, (_, success) in probes.items()},
+            {variant: steps for variant, (steps, _) in probes.items()},
+            fmt=fmt,
         ),
     )

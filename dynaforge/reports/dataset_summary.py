@@ -7,25 +7,24 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dynaforge.demos import Attempt, Episode
-from dynaforge.evaluation import DgrReport
+from dynaforge.reports.evaluation import by_generator, reports_of
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
 from dynaforge.training.sparkline import sparkline
 
-PARTS = 16  # of a condition's range
+PARTS = 16  # equal parts of a field's range
 RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
 def attempt_tables(attempts: Sequence[Attempt], task: Task) -> Iterator[str]:
     """Yield the rates of each generator, and how long its attempts took."""
-    for name in sorted({attempt.generator for attempt in attempts}):
-        own = [attempt for attempt in attempts if attempt.generator == name]
-        report = DgrReport.from_attempts(own, difficulty_range=task.conditions.difficulty_range, label=name)
-        yield f"{report.table()}\n{_wall_time(own)}"
+    grouped = by_generator(attempts)
+    for report in reports_of(task, grouped):
+        yield f"{report.table()}\n{_wall_time(grouped[report.label])}"
 
 
 def recording_summary(episodes: Sequence[Episode], task: Task) -> str:
-    """Return lengths, actions, residuals and coverage of recordings, at least one."""
+    """Return lengths, actions, residuals and coverage of one or more recordings, as text."""
     return "\n".join([_lengths(episodes), _actions(episodes), _residuals(episodes), _coverage(episodes, task)])
 
 
@@ -61,24 +60,27 @@ def _residuals(episodes: Sequence[Episode]) -> str:
     if not gated or not sum(map(len, gated)):
         return "residual: none recorded"
     rows = np.concatenate(gated)
-    low, middle, high = np.quantile(rows, (0.01, 0.5, 0.99), axis=0)
+    quantiles = np.quantile(rows, (0.01, 0.5, 0.99), axis=0).T
     lines = [
-        f"  {name:<11} {a:+.3f} {b:+.3f} {c:+.3f}" for name, a, b, c in zip(RESIDUALS, low, middle, high, strict=False)
+        f"  {name:<11} {low:+.3f} {middle:+.3f} {high:+.3f}"
+        for name, (low, middle, high) in zip(RESIDUALS, quantiles.tolist(), strict=False)
     ]
     return "residual while gated (m, rad, m), 1 %, 50 % and 99 % quantile:\n" + "\n".join(lines)
 
 
 def _coverage(episodes: Sequence[Episode], task: Task) -> str:
-    """Return how evenly the recordings fill the range of each condition."""
+    """Return how evenly the recordings cover the range of each field of the condition."""
     lines = []
     for name, (low, high) in task.conditions.ranges.items():
-        values = [e.condition.values[name] for e in episodes if name in e.condition.values]  # a stranger's may lack it
+        values = [
+            e.condition.values[name] for e in episodes if name in e.condition.values
+        ]  # a file from elsewhere may lack it
         counts, _ = np.histogram(values, bins=PARTS, range=(low, high))
         bars = sparkline(count / counts.max() if count else np.nan for count in counts.tolist())
         lines.append(f"  {name:<11} {low:>8.4g} {bars} {high:<8.4g} {np.count_nonzero(counts)} of {PARTS} parts")
-    return f"recordings over the range of each condition, in {PARTS} equal parts:\n" + "\n".join(lines)
+    return f"recordings over the range of each field of the condition, in {PARTS} equal parts:\n" + "\n".join(lines)
 
 
 def _wall_time(attempts: Sequence[Attempt]) -> str:
     timed = [attempt.wall_seconds for attempt in attempts if attempt.wall_seconds]
-    return f"an attempt took {np.median(timed):.2f} s of a core" if timed else ""
+    return f"an attempt took {np.median(timed):.2f} s on one core" if timed else ""

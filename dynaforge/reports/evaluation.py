@@ -1,4 +1,4 @@
-"""What `dynaforge evaluate` finds out and stores: DGR of each generator, and its gain over the first one."""
+"""What `dynaforge evaluate` measures and stores: the DGR of each generator, and its gain over the first one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dynaforge.files.versions import package_versions
 from dynaforge.tasks import Task
 
 BINS = 8
-"""Equal parts of the difficulty range in which success is reported."""
+"""Number of difficulty bins in which success is reported."""
 
 Measured = Mapping[str, Sequence[Attempt]]
 """Name of each generator to its attempts, all on the same conditions in the same order."""
@@ -29,10 +29,11 @@ class Gain:
     """A generator compared with the first one, condition by condition.
 
     Attributes:
-        generator: Its name.
+        generator: Name of the generator.
         against: Name of the first one.
         paired: The difference of their DGR.
-        worse_bins: Bins in which it is worse beyond chance; None where the conditions are not spread evenly over them.
+        worse_bins: Indices of the bins in which it is worse beyond the margin of `no_bin_worse`; None where the
+            conditions are not spread evenly over the bins.
     """
 
     generator: str
@@ -42,14 +43,15 @@ class Gain:
 
     @property
     def text(self) -> str:
-        """The gain in a line, and the bins in another if they are known."""
+        """The gain in one line, and a second line about the bins if they were compared."""
         line = f"{self.generator} against {self.against}: {describe_gain(self.paired)}"
         if self.worse_bins is None:
             return line
-        return f"{line}\nno bin lost: {f'lost {self.worse_bins}' if self.worse_bins else 'holds'}"
+        bins = ", ".join(str(index + 1) for index in self.worse_bins)  # counted from 1, the easiest
+        return f"{line}\nworse in difficulty bins: {bins or 'none'} of {BINS}"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON data."""
+        """Return the gain as plain JSON data."""
         data: dict[str, Any] = {
             "against": self.against,
             "difference": self.paired.difference,
@@ -62,7 +64,7 @@ class Gain:
 
 
 def reports_of(task: Task, measured: Measured) -> list[DgrReport]:
-    """Return the DGR of every generator."""
+    """Return the DGR of every generator, labelled with its name."""
     bounds = task.conditions.difficulty_range
     return [
         DgrReport.from_attempts(attempts, difficulty_range=bounds, n_bins=BINS, label=name)
@@ -70,16 +72,22 @@ def reports_of(task: Task, measured: Measured) -> list[DgrReport]:
     ]
 
 
+def by_generator(attempts: Sequence[Attempt]) -> dict[str, list[Attempt]]:
+    """Group attempts by the name of their generator, in alphabetical order."""
+    names = sorted({attempt.generator for attempt in attempts})
+    return {name: [attempt for attempt in attempts if attempt.generator == name] for name in names}
+
+
 def gains_over_first(task: Task, measured: Measured) -> list[Gain]:
     """Compare every generator with the first one."""
-    (first, before), *others = measured.items()
+    (first, attempts), *others = measured.items()
+    before = [attempt.success for attempt in attempts]
+    evenly_spread = _evenly_spread(task, attempts)
     gains = []
-    for name, after in others:
-        runs = [[attempt.success for attempt in attempts] for attempts in (before, after)]
-        worse = None
-        if _evenly_spread(task, before):
-            worse = tuple(no_bin_worse(*[[run[k::BINS] for k in range(BINS)] for run in runs]).worse)
-        gains.append(Gain(name, first, paired_difference(*runs), worse))
+    for name, others_attempts in others:
+        after = [attempt.success for attempt in others_attempts]
+        worse = no_bin_worse(_by_bin(before), _by_bin(after)).worse if evenly_spread else None
+        gains.append(Gain(name, first, paired_difference(before, after), worse))
     return gains
 
 
@@ -90,7 +98,7 @@ def write_evaluation(path: Path, task: Task, measured: Measured, gains: Sequence
         path: The file.
         task: The task.
         measured: The attempts of every generator.
-        gains: Of the generators after the first.
+        gains: Those of the generators after the first.
         command: The command that measured it.
     """
     conditions = next(iter(measured.values()))
@@ -121,10 +129,15 @@ def write_task_table(path: Path, table: Mapping[str, Sequence[DgrReport]], *, mi
 
 
 def _evenly_spread(task: Task, attempts: Sequence[Attempt]) -> bool:
-    """Tell whether attempt i lies in bin i modulo `BINS`, as `--strata` draws them."""
+    """Return whether attempt i lies in bin i modulo `BINS`, as `--strata` draws them."""
     return len(attempts) % BINS == 0 and all(
         task.conditions.stratum(attempt.difficulty, BINS) == i % BINS for i, attempt in enumerate(attempts)
     )
+
+
+def _by_bin(success: Sequence[bool]) -> list[Sequence[bool]]:
+    """Return the success of evenly spread attempts bin by bin."""
+    return [success[k::BINS] for k in range(BINS)]
 
 
 def _write(path: Path, command: str, data: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Exporting a dataset: the files of a format with a card beside them, and some of its actions replayed in the env."""
+"""Exporting a dataset: the files of a format, a card beside them, and some actions replayed in the task's env."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class ExportOptions:
     Attributes:
         layout: Name of the format.
         licence: SPDX identifier for the card.
-        command: What the card names as having made the export.
-        replays: Successes whose actions are given to the task's env, to see them succeed again.
-        observations: Rendered observations, for the card's pictures; None simulates a few episodes again.
+        command: The command that made the export, for the card.
+        replays: How many successes to replay in the task's env, to check that they succeed again.
+        observations: Rendered observations for the card's pictures; None simulates a few episodes again.
     """
 
     layout: str
@@ -44,11 +44,11 @@ class ExportOptions:
 
 
 class ExportResult(NamedTuple):
-    """What an export came to.
+    """What an export contains.
 
     Attributes:
-        demonstrations: How many it contains.
-        steps: Their control steps together.
+        demonstrations: Number of demonstrations.
+        steps: Number of control steps in all of them.
         replayed: How many of the sampled successes succeed again, as a sentence; "" if none were sampled.
         no_sheet: Why the card has no contact sheet; "" if it has one.
     """
@@ -65,23 +65,23 @@ def export_dataset(
     """Write an export, whole or not at all.
 
     Args:
-        dataset: What is exported.
+        dataset: The dataset to export.
         task: Its task.
         frames: Its episodes, as `read_frames` returns them.
-        out: The folder, which must be new.
-        options: How.
+        out: The folder to make.
+        options: How to export it.
 
     Raises:
         FileExistsError: Something is at `out`.
-        ValueError: No such format, or an episode that it has no place for.
+        ValueError: No such format, or an episode that does not fit it.
         ImportError: A library of the `[data]` extra is missing.
     """
     write = exporter(options.layout)
     if out.exists():
         raise FileExistsError(f"{out} exists already. Choose another --out, or remove it.")
-    notes = _Notes(task, options.layout)
+    notes = _Notes(task=task, layout=options.layout)
     with _whole_or_nothing(out) as folder:
-        n = write(folder, task, notes.taken_of(frames))
+        n = write(folder, task, notes.taken_on(frames))
         replayed = _replay(task, notes.successes, options.replays) if notes.successes and options.replays else ""
         no_sheet = write_card(
             folder,
@@ -98,16 +98,16 @@ def export_dataset(
 
 
 class _SampledSuccess(NamedTuple):
-    """The actions of a success, and the condition that they belong to."""
+    """The actions of a successful episode, and the condition that they belong to."""
 
     layout: ActionLayout
     condition: Condition
     actions: Floats
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Notes:
-    """What is kept of each episode that passes by: a dataset may be larger than memory."""
+    """What is kept of each episode on its way into the export: a dataset may be larger than memory."""
 
     task: Task
     layout: str
@@ -115,15 +115,15 @@ class _Notes:
     successes: list[_SampledSuccess] = field(default_factory=list)
     contents: dict[str, str] = field(default_factory=dict)
 
-    def taken_of(self, frames: Iterable[Frames]) -> Iterator[Frames]:
-        """Yield episodes and take notes."""
+    def taken_on(self, frames: Iterable[Frames]) -> Iterator[Frames]:
+        """Yield the episodes unchanged, taking notes on each."""
         for episode in frames:
             self.exported.append(Exported.of(episode.episode))
             self.contents.update(_contents(self.task, episode, self.layout))
             if episode.success:
                 self.successes.append(_SampledSuccess(episode.layout, episode.episode.condition, episode.actions))
             yield episode
-            del episode  # it would live on while the next one is read
+            del episode  # otherwise it would stay in memory while the next one is read
 
 
 def _contents(task: Task, episode: Frames, layout: str) -> dict[str, str]:
@@ -140,7 +140,7 @@ def _contents(task: Task, episode: Frames, layout: str) -> dict[str, str]:
 
 
 def _replay(task: Task, successes: Sequence[_SampledSuccess], n: int) -> str:
-    """Give the actions of n of the successes to the env that the export names; returns how many succeed again."""
+    """Give the actions of n of the successes to the env that the export names; return how many succeed again."""
     sample = [successes[k] for k in np.unique(np.linspace(0, len(successes) - 1, n).round().astype(int))]
     bridge = ExportBridge(task, sample[0].layout)
     try:
@@ -153,10 +153,10 @@ def _replay(task: Task, successes: Sequence[_SampledSuccess], n: int) -> str:
 
 @contextlib.contextmanager
 def _whole_or_nothing(out: Path) -> Iterator[Path]:
-    """Yield a hidden folder that becomes `out` at the end; whatever ends the work early leaves nothing behind."""
+    """Yield a hidden folder that becomes `out` at the end; if the work ends early, nothing is left behind."""
     missing = [folder for folder in out.absolute().parents if not folder.exists()]
     temporary = out.with_name(f".{out.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)  # of an export that was killed
+    shutil.rmtree(temporary, ignore_errors=True)  # left behind by an export that was killed
     temporary.mkdir(parents=True)
     try:
         yield temporary

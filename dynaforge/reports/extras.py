@@ -10,7 +10,11 @@ from typing import Any
 
 
 def load_extra(module: str, *, extra: str = "report") -> Any:
-    """Import a module that one of the package's extras brings.
+    """Import a module that is installed with one of the package's extras.
+
+    Args:
+        module: Name of the module.
+        extra: Name of the extra.
 
     Raises:
         ImportError: It is not installed; the message says how to install it.
@@ -25,7 +29,7 @@ def load_extra(module: str, *, extra: str = "report") -> Any:
 
 
 def _import_matplotlib() -> None:
-    """Import it even where it would refuse MPLBACKEND: below a notebook that names another environment's backend."""
+    """Import matplotlib even where it would refuse MPLBACKEND: a notebook may set a backend of another environment."""
     backend = os.environ.pop("MPLBACKEND", None)
     try:
         matplotlib = importlib.import_module("matplotlib")

@@ -1,4 +1,4 @@
-"""Films attempts again, with the camera on: same condition, same policy, same bits."""
+"""Films of attempts, made again with the camera on: same condition, same policy, same bits."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ Frame = NDArray[np.uint8]
 def film(
     env: ResidualEnv, generator: Generator, condition: Condition, *, every: int = 2
 ) -> tuple[Episode, list[Frame]]:
-    """Run one attempt and draw every second control step.
+    """Run one attempt and film it.
 
     Args:
-        env: Made with `render_mode="rgb_array"`.
-        generator: What attempts.
+        env: An env made with `render_mode="rgb_array"`.
+        generator: What makes the attempt.
         condition: The condition.
         every: Control steps from frame to frame.
+
+    Returns:
+        The episode, and its frames.
     """
     frames: list[Frame] = []
     count = 0
@@ -51,39 +54,47 @@ def film(
 
 
 def skill_picture(task: Task, conditions: Iterable[Condition]) -> Frame:
-    """Draw the moment at which the planner alone ends the last phase that a residual would correct.
+    """Return a picture of the end of the last gated phase, in a planner-only episode.
 
-    Of the conditions, the first that the planner wins is shown; the last of them, if it wins none.
+    The episode is that of the first condition on which the planner succeeds, or of the last condition if there is none.
     """
     last = max(k for k, phase in enumerate(task.phases) if phase.gate)
     env = ResidualEnv(task, render_mode="rgb_array")
-    shown: Frame | None = None
+    picture: Frame | None = None
 
     def draw(step: Any) -> None:
-        nonlocal shown
-        if step.planned.phase == last or shown is None:
-            shown = env.render()
+        nonlocal picture
+        if step.planned.phase == last or picture is None:
+            picture = env.render()
 
     env.world.listeners.append(draw)
     try:
         for condition in conditions:
-            shown = None
+            picture = None
             if PlannerOnly().attempt(env, condition).success:
                 break
     finally:
         env.close()
-    assert shown is not None
-    return shown
+    assert picture is not None
+    return picture
 
 
 def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int = 2) -> list[Clip]:
-    """Film the first `each` successes and failures among the attempts of a policy."""
+    """Film the first successes and the first failures among the attempts of a policy.
+
+    Args:
+        task: The task.
+        policy: File of the policy.
+        attempts: Its attempts.
+        each: How many successes, and how many failures.
+    """
     generator = ResidualGenerator(MlpPolicyFile.load(policy, task=task))
-    chosen = [[a for a in attempts if a.success is wanted][:each] for wanted in (True, False)]
+    successes = [attempt for attempt in attempts if attempt.success][:each]
+    failures = [attempt for attempt in attempts if not attempt.success][:each]
     env = ResidualEnv(task, render_mode="rgb_array")
     try:
         clips = []
-        for attempt in chosen[0] + chosen[1]:
+        for attempt in successes + failures:
             episode, frames = film(env, generator, attempt.condition)
             caption = f"difficulty {attempt.difficulty:.2f}, ended in phase {episode.outcome.phase}"
             clips.append(Clip(encode_mp4(frames, fps=15), attempt.condition.id, episode.outcome, caption))

@@ -1,4 +1,4 @@
-"""The report of `dynaforge forge`: what was measured, learned and filmed, on one page."""
+"""The report of `dynaforge forge`: rates, learning curves and films on one page."""
 
 from __future__ import annotations
 
@@ -34,23 +34,24 @@ def write_forge_report(
     """Write result.json and report.html.
 
     Args:
-        folder: Where they are written; the page last.
+        folder: Where they are written, the page last.
         task: The task.
         policy: File of the trained policy, for the films.
         command: The command that made the run.
-        algo: What trained the policy.
+        algo: Name of the file in zoo_configs that the policy was trained with.
         seed: Training seed.
-        history: Of the training.
-        reports: DGR of the planner only, and with the residual.
+        history: History of the training.
+        reports: DGR of planner only, and of planner and residual.
         paired: Their difference, condition by condition.
-        attempts: Those with the residual; some are filmed.
+        attempts: The attempts with the residual, some of which are filmed.
     """
+    versions = package_versions()
     result = {
         "command": command,
         "task": task.name,
         "algo": algo,
         "seed": seed,
-        "versions": package_versions(),
+        "versions": versions,
         "updates": len(history),
         "reports": [report.to_dict() for report in reports],
         "paired": {"difference": paired.difference, "interval": list(paired.interval), "p": paired.p_value},
@@ -62,7 +63,7 @@ def write_forge_report(
         command=command,
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         seeds={"training seed": seed, "conditions": "stream test, block 0"},
-        versions=package_versions(),
+        versions=versions,
         reports=reports,
         paired=paired,
         figures=[*_training_figures(algo, history, reports), *_measured_figures(reports)],
@@ -78,7 +79,7 @@ def _training_figures(algo: str, history: TrainingHistory, reports: list[DgrRepo
     curve = learning_curve({algo: history.success}, planner_only=reports[0].mean, final=reports[1].mean)
     heatmap = stratum_heatmap(history.frontier())
     return [
-        ReportFigure("Learning curve", "Success of exploring rollouts; trailing 20-update mean.", curve),
+        ReportFigure("Learning curve", "Success of rollouts; the line is the mean of the last 20 updates.", curve),
         ReportFigure("Success by stratum over updates", "Red: the competence frontier.", heatmap),
     ]
 

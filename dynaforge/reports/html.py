@@ -6,13 +6,13 @@ import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference
-from dynaforge.evaluation.dgr import describe_gain
+from dynaforge.evaluation.dgr import describe_gain, ranked_reasons
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import one_line
 from dynaforge.reports.extras import load_extra
@@ -24,7 +24,13 @@ MOST_ATTEMPTS = 500
 
 @dataclass(frozen=True, slots=True)
 class ReportFigure:
-    """A figure: PNG or SVG bytes, as the functions of `plots` give them."""
+    """A figure of a report.
+
+    Attributes:
+        title: Headline.
+        caption: Text below it.
+        image: PNG or SVG bytes, as the functions of `plots` return them.
+    """
 
     title: str
     caption: str
@@ -35,7 +41,14 @@ class ReportFigure:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A filmed attempt: MP4 bytes, which condition it was, and how it ended."""
+    """A filmed attempt.
+
+    Attributes:
+        mp4: The film, MP4 bytes.
+        condition_id: Id of its condition.
+        outcome: How it ended.
+        caption: Text below it.
+    """
 
     mp4: bytes
     condition_id: str
@@ -45,20 +58,20 @@ class Clip:
     __repr__ = one_line
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
     """What a report shows.
 
     Attributes:
         title, task: Headline and task name.
-        command: The command line that makes this report again.
-        date: As it shall be printed; passed in, so that equal runs give equal pages.
+        command: The command that makes this report again.
+        date: The date to print; it is passed in, so that equal runs give equal pages.
         seeds, versions: What to print by name, e.g. {"training seed": 0}, {"numpy": "2.4.0"}.
         reports: Rates to compare, planner only first.
-        paired: The last report against the first on the same conditions.
-        figures, clips: In the order of showing.
+        paired: The last report against the first, on the same conditions.
+        figures, clips: Figures and clips, in the order in which they are shown.
         attempts: The ledger; the first 500 are listed.
-        notes: Sentences below the summary table.
+        notes: Sentences below the table of rates.
     """
 
     title: str
@@ -72,11 +85,11 @@ class ReportData:
     figures: Sequence[ReportFigure] = ()
     clips: Sequence[Clip] = ()
     attempts: Sequence[Attempt] = ()
-    notes: Sequence[str] = field(default=())
+    notes: Sequence[str] = ()
 
 
 def render_report(data: ReportData) -> str:
-    """Return the page as HTML text; everything from the data is escaped, nothing is loaded from elsewhere.
+    """Return the page as HTML; everything from the data is escaped, and the page loads nothing from elsewhere.
 
     Raises:
         ImportError: Jinja2, of the `[report]` extra, is missing.
@@ -84,11 +97,15 @@ def render_report(data: ReportData) -> str:
     """
     shown = list(data.attempts)[:MOST_ATTEMPTS]
     hidden = len(data.attempts) - len(shown)
-    return render(PAGE, data=data, reasons=_reasons(data.reports), shown=shown, hidden=hidden)
+    return render(PAGE, data=data, reasons=ranked_reasons(data.reports), shown=shown, hidden=hidden)
 
 
 def render(template: str, **values: Any) -> str:
     """Fill a template of `dynaforge.reports.template`; all values are escaped.
+
+    Args:
+        template: Text of the template.
+        values: What it refers to by name.
 
     Raises:
         ImportError: Jinja2, of the `[report]` extra, is missing.
@@ -123,14 +140,6 @@ def write_report(path: str | Path, data: ReportData) -> None:
         OSError: The folder is missing or not writable, or the disk is full.
     """
     atomic_write(path, render_report(data).encode())
-
-
-def _reasons(reports: Sequence[DgrReport]) -> list[str]:
-    totals: dict[str, int] = {}
-    for report in reports:
-        for reason, count in report.failures.items():
-            totals[reason] = totals.get(reason, 0) + count
-    return sorted(totals, key=lambda reason: (-totals[reason], reason))
 
 
 def _percent(rate: float) -> str:

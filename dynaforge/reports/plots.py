@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dynaforge.evaluation import DgrReport, FrontierAnalysis
-from dynaforge.evaluation.dgr import Count
+from dynaforge.evaluation.dgr import Count, ranked_reasons
 from dynaforge.evaluation.frontier import WINDOW, trailing_mean
 from dynaforge.reports.extras import load_extra
 
 Format = Literal["svg", "png"]
 
-# Okabe and Ito's palette: told apart with any colour vision.
+# The palette of Okabe and Ito, whose colours can be told apart with any colour vision.
 BLUE, ORANGE, GREEN, RED, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#6B7280"
 _CURVES = (BLUE, ORANGE, GREEN, "#CC79A7", "#56B4E9")
 _STYLE = {
@@ -52,9 +52,11 @@ def learning_curve(
 
     Args:
         success: Success fraction of each update, shape (U,), by the name of the run.
-        planner_only, final: Separately measured rates, drawn as horizontal lines; `final` one for all or by run.
-        steps: Environment steps at each of these updates, to draw over; None draws over updates.
+        planner_only: Rate of planner only, drawn as a horizontal line.
+        final: Rate of the final policy, drawn as a horizontal line: one for all runs, or one for each by name.
+        steps: Environment steps at each update, shape (U,), by the name of the run; None draws over updates.
         window: Updates in the trailing mean.
+        fmt: Format of the image.
     """
     with _drawing((8.0, 4.0)) as (figure, axes):
         for colour, (name, values) in zip(_cycle(len(success)), success.items(), strict=True):
@@ -68,7 +70,7 @@ def learning_curve(
         for label, level, dash, colour in levels:
             if level is not None:
                 axes.axhline(level, color=colour, linestyle=dash, linewidth=1.5, label=f"{label} {level:.0%}")
-        _percent(axes, "y")
+        _percent(axes)
         axes.set_xlabel("update" if steps is None else "environment steps")
         axes.set_ylabel("success in training")
         axes.grid(axis="y")
@@ -78,7 +80,7 @@ def learning_curve(
 
 
 def stratum_heatmap(analysis: FrontierAnalysis, *, fmt: Format = "svg") -> bytes:
-    """Draw each stratum's trailing success over the updates, easiest rank below, with the frontier in red."""
+    """Draw each stratum's trailing success over the updates, the easiest at the bottom, with the frontier in red."""
     with _drawing((8.0, 4.2)) as (figure, axes):
         updates, strata = analysis.trailing.shape
         ranked = analysis.trailing[:, analysis.order].T  # (N, U)
@@ -101,25 +103,26 @@ def stratum_heatmap(analysis: FrontierAnalysis, *, fmt: Format = "svg") -> bytes
         axes.set_xlabel("update")
         axes.set_ylabel("stratum, ranked by full-run success")
         bar = figure.colorbar(image, ax=axes, pad=0.02)
-        _percent(bar.ax, "y")
+        _percent(bar.ax)
         bar.set_label(f"success, last {WINDOW} updates")
         figure.legend(loc="outside lower center")
         return _bytes(figure, fmt)
 
 
 def probe_curve(success: Mapping[str, ArrayLike], steps: Mapping[str, ArrayLike], *, fmt: Format = "svg") -> bytes:
-    """Draw success without exploration, as measured now and then during training.
+    """Draw success without exploration, as probed during training.
 
     Args:
-        success: Success fraction at each measurement, shape (P,), by the name of the run.
-        steps: Environment steps before each, shape (P,).
+        success: Success fraction of each probe, shape (P,), by the name of the run.
+        steps: Environment steps before each probe, shape (P,), by the name of the run.
+        fmt: Format of the image.
     """
     with _drawing((8.0, 3.4)) as (figure, axes):
         for colour, (name, values) in zip(_cycle(len(success)), success.items(), strict=True):
             axes.plot(
                 np.asarray(steps[name]), np.asarray(values), color=colour, linewidth=1.8, marker="o", ms=4, label=name
             )
-        _percent(axes, "y")
+        _percent(axes)
         axes.set_xlabel("environment steps")
         axes.set_ylabel("success without exploration")
         axes.grid(axis="y")
@@ -128,11 +131,12 @@ def probe_curve(success: Mapping[str, ArrayLike], steps: Mapping[str, ArrayLike]
 
 
 def dgr_by_difficulty(reports: Sequence[DgrReport], *, unit: str = "", fmt: Format = "svg") -> bytes:
-    """Draw success by difficulty bin with Wilson 95 % error bars, one series a report.
+    """Draw success by difficulty bin with Wilson 95 % error bars, one series per report.
 
     Args:
-        reports: Over the same bins, e.g. planner only and residual.
+        reports: Reports over the same bins, e.g. of planner only and of the residual.
         unit: Unit of the difficulty, e.g. "m/s".
+        fmt: Format of the image.
 
     Raises:
         ValueError: The bins differ.
@@ -158,7 +162,7 @@ def dgr_by_difficulty(reports: Sequence[DgrReport], *, unit: str = "", fmt: Form
             )
         labels = [f"{low:.2g}-{high:.2g}" for low, high in itertools.pairwise(edges)]
         axes.set_xticks(place, labels)
-        _percent(axes, "y")
+        _percent(axes)
         axes.set_xlabel(f"difficulty ({unit})" if unit else "difficulty")
         axes.set_ylabel("success")
         axes.grid(axis="y")
@@ -168,19 +172,20 @@ def dgr_by_difficulty(reports: Sequence[DgrReport], *, unit: str = "", fmt: Form
 
 
 def failure_bars(reports: Sequence[DgrReport], *, most: int = 10, fmt: Format = "svg") -> bytes:
-    """Draw how many attempts each failure reason cost, the costliest on top.
+    """Draw the number of failed attempts by reason, the most frequent on top.
 
     Args:
-        reports: One series each.
+        reports: Reports, one series each.
         most: Reasons to show; the rest are pooled as "other".
+        fmt: Format of the image.
     """
-    reasons = _ranked_reasons(reports, most)
+    reasons = _shown_reasons(reports, most)
     with _drawing((8.0, 1.6 + 0.42 * max(len(reasons), 1))) as (figure, axes):
         height = 0.8 / len(reports)
         place = np.arange(len(reasons))[::-1]
         colours = (GREY, *_CURVES) if len(reports) > 1 else _CURVES
         for index, report in enumerate(reports):
-            counts = [_lost_to(report, reason, reasons) for reason in reasons]
+            counts = [_failed_attempts(report, reason, reasons) for reason in reasons]
             offset = ((len(reports) - 1) / 2 - index) * height
             bars = axes.barh(
                 place + offset, counts, height * 0.9, color=colours[index % len(colours)], label=report.label
@@ -195,43 +200,42 @@ def failure_bars(reports: Sequence[DgrReport], *, most: int = 10, fmt: Format = 
         return _bytes(figure, fmt)
 
 
-def _ranked_reasons(reports: Sequence[DgrReport], most: int) -> list[str]:
-    totals: dict[str, int] = {}
-    for report in reports:
-        for reason, count in report.failures.items():
-            totals[reason] = totals.get(reason, 0) + count
-    ranked = sorted(totals, key=lambda reason: (-totals[reason], reason))
+def _shown_reasons(reports: Sequence[DgrReport], most: int) -> list[str]:
+    """Return the reasons to show; "other" stands for the rest."""
+    ranked = ranked_reasons(reports)
     return ranked if len(ranked) <= most else [*ranked[: most - 1], "other"]
 
 
-def _lost_to(report: DgrReport, reason: str, shown: Sequence[str]) -> int:
+def _failed_attempts(report: DgrReport, reason: str, shown: Sequence[str]) -> int:
+    """Count the attempts that failed for a reason; "other" counts those for reasons that are not shown."""
     if reason == "other" and reason not in report.failures:
         return sum(count for name, count in report.failures.items() if name not in shown)
     return report.failures.get(reason, 0)
 
 
 def _bars(bins: Sequence[Count]) -> tuple[list[float], list[list[float]]]:
-    heights = [0.0 if math.isnan(one.rate) else one.rate for one in bins]
-    spans = [one.interval if one.n else (0.0, 0.0) for one in bins]
-    below = [max(height - low, 0.0) for height, (low, _) in zip(heights, spans, strict=True)]
-    above = [max(high - height, 0.0) for height, (_, high) in zip(heights, spans, strict=True)]
+    """Return the heights of the bars, and how far their error bars reach below and above."""
+    heights = [0.0 if math.isnan(count.rate) else count.rate for count in bins]
+    intervals = [count.interval if count.n else (0.0, 0.0) for count in bins]
+    below = [max(height - low, 0.0) for height, (low, _) in zip(heights, intervals, strict=True)]
+    above = [max(high - height, 0.0) for height, (_, high) in zip(heights, intervals, strict=True)]
     return heights, [below, above]
 
 
 def _cycle(n: int) -> list[str]:
+    """Return n colours of the palette, from the first again after the last."""
     return [_CURVES[index % len(_CURVES)] for index in range(n)]
 
 
-def _percent(axes: Any, which: str) -> None:
-    axis = axes.yaxis if which == "y" else axes.xaxis
-    axis.set_major_formatter(load_extra("matplotlib.ticker").PercentFormatter(1.0))
-    if which == "y":
-        axes.set_ylim(0.0, 1.0)
+def _percent(axes: Any) -> None:
+    """Let the vertical axis run from 0 to 100 %."""
+    axes.yaxis.set_major_formatter(load_extra("matplotlib.ticker").PercentFormatter(1.0))
+    axes.set_ylim(0.0, 1.0)
 
 
 @contextmanager
 def _drawing(size: tuple[float, float]) -> Iterator[tuple[Any, Any]]:
-    """Give a styled figure of a size in inches, and its axes."""
+    """Yield a styled figure of a size in inches, and its axes."""
     with load_extra("matplotlib").rc_context(_STYLE):
         figure = load_extra("matplotlib.figure").Figure(figsize=size, layout="constrained")
         load_extra("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
@@ -240,6 +244,6 @@ def _drawing(size: tuple[float, float]) -> Iterator[tuple[Any, Any]]:
 
 def _bytes(figure: Any, fmt: Format) -> bytes:
     buffer = io.BytesIO()
-    metadata = {"Date": None} if fmt == "svg" else None  # equal data, equal bytes
+    metadata = {"Date": None} if fmt == "svg" else None  # so that equal data give equal bytes
     figure.savefig(buffer, format=fmt, dpi=100, metadata=metadata)
     return buffer.getvalue()

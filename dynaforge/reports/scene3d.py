@@ -19,7 +19,7 @@ from dynaforge.reports.extras import load_extra
 from dynaforge.sim.shapes import LinkName, VisualShape
 from dynaforge.tasks import Task
 
-FACES_OF_ROUND = 24
+CYLINDER_FACES = 24
 PATH_COLOR = (30, 90, 200)
 LABEL_AT = (0.0, 0.0, 0.9)  # metres, above the robot
 CURVES = {"q": "joint", "dq": "joint_speed", "residual_action": "residual", "width": "gripper_width", "gate": "gate"}
@@ -30,10 +30,10 @@ class Scene3D:
     """An episode as moving meshes.
 
     Attributes:
-        task: Of which task.
-        episode: Which.
-        meshes: What each link looks like, a `trimesh.Trimesh` in the link's frame.
-        poses: `T_world_link` of each link at each of its T control steps.
+        task: The task.
+        episode: The episode.
+        meshes: The mesh of each link, a `trimesh.Trimesh` in the link's frame.
+        poses: `T_world_link` of each link at each of the T control steps.
     """
 
     task: Task
@@ -45,7 +45,7 @@ class Scene3D:
 
 
 class SceneRecorder:
-    """Simulates episodes of a task again and notes where everything is.
+    """Simulates episodes of a task again and records the pose of every link.
 
     Args:
         task: The task.
@@ -56,7 +56,7 @@ class SceneRecorder:
         self._replayer = Replayer(task, visuals="plain")
 
     def record(self, episode: Episode) -> Scene3D:
-        """Return an episode in three dimensions.
+        """Return an episode as moving meshes.
 
         Raises:
             ImportError: trimesh, which the `[viser]` and `[rerun]` extras bring, is missing.
@@ -81,18 +81,19 @@ class SceneRecorder:
 
 
 def _mesh(shapes: list[VisualShape]) -> Any:
-    """Put the shapes of a link together, each in its colour."""
+    """Join the shapes of a link into one mesh, each part in its colour."""
     trimesh = load_extra("trimesh", extra="viser")
     return trimesh.util.concatenate([_part(trimesh, shape) for shape in shapes])
 
 
 def _part(trimesh: Any, shape: VisualShape) -> Any:
+    """Return one shape as a mesh in the link's frame."""
     if shape.kind == "box":
         mesh = trimesh.creation.box(shape.size)
     elif shape.kind == "sphere":
         mesh = trimesh.creation.icosphere(subdivisions=2, radius=shape.size[0])
     elif shape.kind == "cylinder":
-        mesh = trimesh.creation.cylinder(height=shape.size[0], radius=shape.size[1], sections=FACES_OF_ROUND)
+        mesh = trimesh.creation.cylinder(height=shape.size[0], radius=shape.size[1], sections=CYLINDER_FACES)
     else:
         loaded = trimesh.load(shape.file, force="mesh", process=False)
         mesh = trimesh.Trimesh(loaded.vertices * shape.size, loaded.faces, process=False)
@@ -152,13 +153,15 @@ def write_rerun(path: Path, scene: Scene3D) -> None:
         recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for (name, link), mesh in scene.meshes.items():
             shape = rr.Mesh3D(
-                vertex_positions=mesh.vertices, triangle_indices=mesh.faces, vertex_colors=mesh.visual.vertex_colors,
+                vertex_positions=mesh.vertices,
+                triangle_indices=mesh.faces,
+                vertex_colors=mesh.visual.vertex_colors,
                 vertex_normals=mesh.vertex_normals,
-            )  # fmt: skip
+            )
             recording.log(["scene", name, link], shape, static=True)
         steps = scene.episode.steps
         recording.log("scene/path", rr.LineStrips3D([steps["ee_position"]], colors=[PATH_COLOR]), static=True)
-        said = ""
+        logged = ""
         for step, text in enumerate(_labels(scene.episode)):
             recording.set_time("time", duration=float(steps["time"][step]))
             for (name, link), poses in scene.poses.items():
@@ -168,9 +171,9 @@ def write_rerun(path: Path, scene: Scene3D) -> None:
             for column, label in CURVES.items():
                 if column in steps:
                     recording.log(f"curves/{label}", rr.Scalars(np.atleast_1d(steps[column][step]).astype(float)))
-            if text != said:
+            if text != logged:
                 recording.log("phase", rr.TextLog(text))
-                said = text
+                logged = text
         recording.flush()
         recording.disconnect()
 
@@ -178,7 +181,7 @@ def write_rerun(path: Path, scene: Scene3D) -> None:
 
 
 def _labels(episode: Episode) -> Iterator[str]:
-    """Yield what goes on at each step: the phase, and whether a finger touches."""
+    """Yield the label of each control step: its phase, and whether a finger has touched."""
     names = list(episode.meta.get("phases", []))
     contact = episode.meta.get("contact_time")
     for time, phase in zip(episode.steps["time"].tolist(), episode.steps["phase"].tolist(), strict=True):

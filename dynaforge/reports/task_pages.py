@@ -1,4 +1,4 @@
-"""A page about a task, made from its data alone, and a picture of its skill."""
+"""Pages about tasks, generated from their data, with a picture of each skill."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from dynaforge.reports.video import contact_sheet, encode_png
 from dynaforge.tasks import Task
 from dynaforge.tasks.phase import Phase
 
-PICTURE_CONDITIONS = 64  # of `val`, among which one is looked for that the planner succeeds on
+PICTURE_CONDITIONS = 64  # of `val`, searched for one on which the planner succeeds
 
 
 def description(task: Task) -> str:
-    """Return the page, Markdown."""
+    """Return the page about a task, in Markdown."""
     lines = [f"# {task.env_name}: {task.skill}", "", f"Env id `{env_id(task.name)}`.", ""]
     lines += [f"**Motion.** {task.motion}", "", f"**Randomisation.** {task.randomisation}", ""]
     lines += [f"**Success.** {task.goal}", "", f"**In words.** {task.instruction}", ""]
@@ -44,19 +44,19 @@ def _phase_row(phase: Phase) -> str:
 
 
 def page_with_picture(task: Task) -> str:
-    """Return the page as a file: the picture, which lies beside it, below the headline."""
+    """Return the page for a file, with a link to the picture beside it below the headline."""
     head, _, rest = description(task).partition("\n")
     return f"{head}\n\n![{task.env_name}]({task.name}.png)\n{rest}\n"
 
 
 def write_task_pages(tasks: Sequence[Task], folder: Path) -> Iterator[Path]:
-    """Write a page and a picture for each task, and a contact sheet for several; yields pages and sheet when written.
+    """Write a page and a picture for each task, and a contact sheet if there are several; yield each when written.
 
     Args:
         tasks: The tasks.
-        folder: Where to; made where missing.
+        folder: Where they are written; made if missing.
     """
-    from dynaforge.reports.film import skill_picture  # here: a page without a picture needs no physics
+    from dynaforge.reports.film import skill_picture  # only here, because a page without a picture needs no physics
 
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []

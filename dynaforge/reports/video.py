@@ -1,4 +1,4 @@
-"""Frames to films: MP4 for browsers, GIF for a README, contact sheets for print."""
+"""Encoding of frames: MP4 for browsers, GIF for a README, contact sheets for print."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def encode_mp4(frames: Sequence[Frames] | Frames, *, fps: float = 30.0, quality:
 
     Args:
         frames: T images, each (H, W, 3) uint8, RGB.
-        fps: Frames a second.
-        quality: CRF of x264: 18 is near lossless, 28 coarse.
+        fps: Frames per second.
+        quality: CRF of x264: 18 is nearly lossless, 28 is coarse.
 
     Raises:
         ValueError: No frames, or not images of one size.
@@ -43,8 +43,8 @@ def encode_gif(frames: Sequence[Frames] | Frames, *, fps: float = 15.0, width: i
 
     Args:
         frames: T images, each (H, W, 3) uint8, RGB.
-        fps: Frames a second; GIF stores hundredths of a second, so 10, 20, 25 and 50 are exact.
-        width: Scale to this width in pixels.
+        fps: Frames per second; GIF stores hundredths of a second, so 10, 20, 25 and 50 are exact.
+        width: Width to scale to, pixels; None keeps the size.
 
     Raises:
         ValueError, RuntimeError: As `encode_mp4`.
@@ -61,12 +61,12 @@ def contact_sheet(
 
     Args:
         frames: Images (H, W, 3) uint8 of one size.
-        labels: One a frame, or none at all.
-        columns: Frames in a row.
+        labels: One label per frame, or none at all.
+        columns: Frames per row.
         cell_width: Width of a frame on the sheet, pixels.
 
     Raises:
-        ValueError: No frames, unequal sizes, or another number of labels than of frames.
+        ValueError: No frames, frames of different sizes, or not as many labels as frames.
     """
     film = _film(frames)
     if labels and len(labels) != len(film):
@@ -84,7 +84,7 @@ def contact_sheet(
         x, y = gap + column * (cell[0] + gap), gap + row * (cell[1] + strip + gap)
         sheet.paste(image.fromarray(frame).resize(cell, image.Resampling.LANCZOS), (x, y))
         if labels:
-            pen.text((x + 2, y + cell[1] + 3), _fitted(labels[index], pen, font, cell[0]), fill="#111827", font=font)
+            pen.text((x + 2, y + cell[1] + 3), _shortened(labels[index], pen, font, cell[0]), fill="#111827", font=font)
     buffer = io.BytesIO()
     sheet.save(buffer, format="PNG")
     return buffer.getvalue()
@@ -97,7 +97,8 @@ def encode_png(frame: Frames) -> bytes:
     return buffer.getvalue()
 
 
-def _fitted(text: str, pen: object, font: object, width: int) -> str:
+def _shortened(text: str, pen: object, font: object, width: int) -> str:
+    """Return the text, cut so that it fits a width in pixels."""
     if pen.textlength(text, font=font) <= width:  # type: ignore[attr-defined]
         return text
     while text and pen.textlength(text + "…", font=font) > width:  # type: ignore[attr-defined]
@@ -106,6 +107,7 @@ def _fitted(text: str, pen: object, font: object, width: int) -> str:
 
 
 def _film(frames: Sequence[Frames] | Frames) -> Frames:
+    """Return the frames as one array, shape (T, H, W, 3)."""
     if len(frames) == 0:
         raise ValueError("A film needs at least one frame.")
     if len({np.shape(frame) for frame in frames}) != 1:
@@ -121,9 +123,9 @@ def _ffmpeg(film: Frames, fps: float, options: Sequence[str], suffix: str) -> by
     program = load_extra("imageio_ffmpeg").get_ffmpeg_exe()
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:g}", "-i", "-"]
     with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / f"film{suffix}"  # the index of an MP4 is moved to the front, which no pipe allows
+        target = Path(folder) / f"film{suffix}"  # not a pipe, since the index of an MP4 is moved to the front
         command = [program, "-loglevel", "error", "-y", *source, *options, str(target)]
-        # A generous bound on a hang: encoders run far above 5 frames a second.
+        # Generous, only against a hang: encoders are far faster than 5 frames per second.
         done = subprocess.run(
             command, input=film.tobytes(), capture_output=True, timeout=60 + len(film) / 5, check=False
         )

@@ -1,4 +1,4 @@
-"""One self-contained page to look through a dataset: clips, joint and action plots with phases and contact."""
+"""One self-contained page to browse a dataset: clips, and plots of joints and actions with phases and contact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dynaforge.demos import Attempt, Episode
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.html import render, script_data
-from dynaforge.reports.viewer_clips import EVERY, ViewerEpisode
+from dynaforge.reports.viewer_clips import FRAME_STEPS, ViewerEpisode
 from dynaforge.reports.viewer_summary import STRATA, strata, summarise
 from dynaforge.reports.viewer_template import VIEWER
 from dynaforge.tasks import Task
@@ -42,10 +42,10 @@ def write_viewer(
     Args:
         path: The page's file.
         task: The task.
-        attempts: All of the dataset's; those without a recording are listed with their reason.
+        attempts: All attempts of the dataset; those without a recording are listed with their reason.
         episodes: Recordings to show.
         title: Headline.
-        recorded: Ids of the recordings that the dataset has, shown or not.
+        recorded: Ids of all recordings of the dataset, shown or not.
     """
     easiest_first = sorted(attempts, key=lambda attempt: attempt.difficulty)
     rows = {attempt.id: _row(task, attempt, recorded) for attempt in easiest_first}
@@ -61,7 +61,7 @@ def write_viewer(
         "task": task.name,
         "unit": unit,
         "phases": task.n_checkpoints,
-        "picture": EVERY * task.scene.control_dt,
+        "picture": FRAME_STEPS * task.scene.control_dt,
         "summary": summarise(task, attempts),
     }
     generators = sorted({attempt.generator for attempt in attempts})
@@ -75,10 +75,11 @@ def write_viewer(
         page=script_data(page),
         episodes=script_data(listed),
     )
-    atomic_write(path, text.encode(errors="replace"))  # a folder's name may contain bytes that are no text
+    atomic_write(path, text.encode(errors="replace"))  # the name of a folder may contain bytes that are not text
 
 
 def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, Any]:
+    """Return an attempt as the page lists it."""
     units, outcome = task.conditions.units, attempt.outcome
     return {
         "id": attempt.id,
@@ -98,6 +99,7 @@ def _row(task: Task, attempt: Attempt, recorded: Collection[str]) -> dict[str, A
 
 
 def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> str:
+    """Return why an attempt's recording is not on the page, in sentences."""
     if attempt.id in recorded:
         return (
             "Its recording is in the folder, but this page shows a selection. "
@@ -115,6 +117,7 @@ def _why_not_shown(task: Task, attempt: Attempt, recorded: Collection[str]) -> s
 
 
 def _recording(viewed: ViewerEpisode, episode: Episode) -> dict[str, Any]:
+    """Return a recording as the page shows it: plots, phases, contact times and films."""
     steps = episode.steps
     plots = []
     for title, names, labels in PLOTS:
@@ -148,7 +151,7 @@ def _recording(viewed: ViewerEpisode, episode: Episode) -> dict[str, Any]:
 
 
 def _figures(value: float) -> float:
-    """Round to what a reader compares: own tasks may have fields of any size."""
+    """Round to three significant digits: the fields of a user-defined task may have any magnitude."""
     return float(f"{value:.3g}")
 
 

@@ -59,35 +59,37 @@ const width = () => narrow.matches ? 360 : 520; // so that letters keep their si
 function success_by_difficulty(bins) {
   const W = width(), H = 220, L = 40, T = 18, B = 32, step = (W - L - 8) / bins.length;
   const y = v => H - B - (H - B - T) * v;
-  const told = bins.map(([name, n, won]) => `${name}: ${won} of ${n}`).join("; ");
-  const svg = svg_of(W, H, "success by difficulty: " + told);
+  const text = bins.map(([name, n, successes]) => `${name}: ${successes} of ${n}`).join("; ");
+  const svg = svg_of(W, H, "success by difficulty: " + text);
   for (const v of [0, 0.5, 1]) {
     draw("line", {x1: L, x2: W - 8, y1: y(v), y2: y(v), stroke: "var(--line)"}, svg);
     draw("text", {x: L - 5, y: y(v) + 4, "text-anchor": "end"}, svg).textContent = 100 * v + " %";
   }
-  bins.forEach(([name, n, won, low, high], k) => {
+  bins.forEach(([name, n, successes, low, high], k) => {
     const middle = L + (k + 0.5) * step, put = (at, text) =>
       draw("text", {x: middle, y: at, "text-anchor": "middle"}, svg).textContent = text;
     put(H - B + 15, name.split(" to ")[0]);
-    put(H - B + 28, n ? `${won}/${n}` : "none");
+    put(H - B + 28, n ? `${successes}/${n}` : "none");
     if (!n) return;
-    const bar = draw("rect", {x: middle - step * 0.36, width: step * 0.72, y: y(won / n), height: y(0) - y(won / n),
+    const top = y(successes / n);
+    const bar = draw("rect", {x: middle - step * 0.36, width: step * 0.72, y: top, height: y(0) - top,
       fill: "var(--accent)", opacity: 0.85}, svg);
-    draw("title", {}, bar).textContent = `${name}: ${won} of ${n}`;
+    draw("title", {}, bar).textContent = `${name}: ${successes} of ${n}`;
     draw("line", {x1: middle, x2: middle, y1: y(low), y2: y(high), stroke: "var(--ink)", "stroke-width": 1.3}, svg);
   });
   return svg;
 }
 function lengths(all) {
-  const W = width(), H = 220, L = 40, T = 18, B = 20, most = Math.max(1, ...all.won.map((n, k) => n + all.lost[k]));
-  const step = (W - L - 8) / all.won.length, y = n => H - B - (H - B - T) * n / most;
+  const W = width(), H = 220, L = 40, T = 18, B = 20;
+  const most = Math.max(1, ...all.successes.map((n, k) => n + all.failures[k]));
+  const step = (W - L - 8) / all.successes.length, y = n => H - B - (H - B - T) * n / most;
   const svg = svg_of(W, H, `lengths of attempts, from 0 to ${all.longest} s`);
   for (const n of [0, most]) draw("text", {x: L - 5, y: y(n) + 4, "text-anchor": "end"}, svg).textContent = n;
   draw("line", {x1: L, x2: W - 8, y1: y(0), y2: y(0), stroke: "var(--line)"}, svg);
-  all.won.forEach((won, k) => {
-    const both = won + all.lost[k], box = {x: L + (k + 0.08) * step, width: step * 0.84};
-    draw("rect", {...box, y: y(won), height: y(0) - y(won), fill: "var(--good)"}, svg);
-    draw("rect", {...box, y: y(both), height: y(won) - y(both), fill: "var(--bad)"}, svg);
+  all.successes.forEach((n, k) => {
+    const both = n + all.failures[k], box = {x: L + (k + 0.08) * step, width: step * 0.84};
+    draw("rect", {...box, y: y(n), height: y(0) - y(n), fill: "var(--good)"}, svg);
+    draw("rect", {...box, y: y(both), height: y(n) - y(both), fill: "var(--bad)"}, svg);
   });
   for (const share of [0, 0.5, 1]) draw("text", {x: L + (W - L - 8) * share, y: H - B + 16,
     "text-anchor": ["start", "middle", "end"][2 * share]}, svg).textContent = (all.longest * share).toFixed(1) + " s";
@@ -111,9 +113,10 @@ function summary() {
     make("i", {style: "background:var(--bad)"}), "failures");
   const table = make("table", {}, make("tr", {}, ...["generator", "successes", "rate", "95 %"]
     .map(name => make("th", {}, name))));
-  for (const [name, n, won, low, high] of generators) table.append(make("tr", {}, ...[name, `${won} of ${n}`,
-    percent(won / n), `${percent(low)} – ${percent(high)}`].map(text => make("td", {}, text))));
-  const measured = spans.won.concat(spans.lost).some(n => n);
+  for (const [name, n, successes, low, high] of generators) table.append(make("tr", {}, ...[name,
+    `${successes} of ${n}`, percent(successes / n), `${percent(low)} – ${percent(high)}`]
+    .map(text => make("td", {}, text))));
+  const measured = spans.successes.concat(spans.failures).some(n => n);
   const rate = card("Success", make("div", {className: "scroll"}, table));
   const why = card("Why attempts failed", ...(failures.length ? reasons(failures) : [word("No failures.")]));
   rate.classList.add("wide");
@@ -121,6 +124,6 @@ function summary() {
   const unit = PAGE.unit && ` (${PAGE.unit})`;
   get("panel-summary").append(rate, card("Success by difficulty", success_by_difficulty(bins),
     word(`Below a bar: where its part of the range begins${unit}, successes of attempts. Lines: Wilson's 95 %.`)),
-    card("Lengths", ...(measured ? [lengths(spans), key] : [word("No attempt ran long enough to have one.")])), why);
+    card("Lengths", ...(measured ? [lengths(spans), key] : [word("No attempt got far enough to have one.")])), why);
 }
 """

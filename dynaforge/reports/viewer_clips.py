@@ -1,4 +1,4 @@
-"""The films of the page: an episode simulated again with the robot's own meshes, and what its cameras saw."""
+"""The films on the page: an episode simulated again with the robot's own meshes, and what its cameras recorded."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dynaforge.reports.video import encode_mp4
 from dynaforge.sim.camera import film_camera
 from dynaforge.tasks import Task
 
-EVERY = 2  # control steps from picture to picture, as in the clips of a report
+FRAME_STEPS = 2  # control steps from frame to frame, as in the clips of a report
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,10 +21,10 @@ class ViewerEpisode:
     """A recording on the page.
 
     Attributes:
-        id: Of the recording.
-        episode: The recording; None where it cannot be read.
-        clip: MP4 bytes, or None.
-        views: MP4 bytes of what each of its cameras saw, by the camera's name.
+        id: Id of the recording.
+        episode: The recording; None if it cannot be read.
+        clip: Its film, MP4 bytes, or None.
+        views: The film of each of its cameras, MP4 bytes, by the camera's name.
         scenes: Links to its scenes in 3-D, relative to the page, by the text of the link.
         note: What could not be shown, in sentences; "" if nothing.
     """
@@ -40,7 +40,7 @@ class ViewerEpisode:
 
 
 class Filmer:
-    """Makes the clip of an episode from its replay, at true speed and as the clips of a report look.
+    """Films episodes by replaying them, at real speed and in the style of the clips of a report.
 
     Args:
         task: The task.
@@ -49,16 +49,21 @@ class Filmer:
     def __init__(self, task: Task) -> None:
         self._replayer = Replayer(task, visuals=True)
         self._camera = film_camera(task.camera)
-        self._fps = 1 / (EVERY * task.scene.control_dt)
+        self._fps = 1 / (FRAME_STEPS * task.scene.control_dt)
 
     def film(self, episode: Episode) -> bytes:
-        """Return it as MP4.
+        """Return the film of an episode, MP4 bytes.
 
         Raises:
             ValueError: The episode cannot be simulated again.
         """
-        scene, states = self._replayer.scene, enumerate(self._replayer.recorded_states(episode))
-        return encode_mp4([scene.picture(self._camera) for step, _ in states if step % EVERY == 0], fps=self._fps)
+        scene = self._replayer.scene
+        frames = [
+            scene.picture(self._camera)
+            for step, _ in enumerate(self._replayer.recorded_states(episode))
+            if step % FRAME_STEPS == 0
+        ]
+        return encode_mp4(frames, fps=self._fps)
 
     def close(self) -> None:
         """Release physics; safe to call more than once."""
@@ -66,19 +71,19 @@ class Filmer:
 
 
 def camera_films(observations: ObservationFolder, episode: Episode, *, control_dt: float) -> dict[str, bytes]:
-    """Return what each camera saw of an episode as MP4, one picture per control step.
+    """Return what each camera saw of an episode, one picture per control step.
 
     Args:
         observations: The rendered observations.
-        episode: Of which.
+        episode: The episode.
         control_dt: Seconds from picture to picture.
 
     Returns:
-        Films by the camera's name; empty where no pictures were kept.
+        Films, MP4 bytes, by the camera's name; empty if no pictures were stored.
 
     Raises:
         FileNotFoundError, DamagedFileError: As `ObservationFolder.of`.
-        ValueError: The pictures are none.
+        ValueError: What is stored are not pictures.
     """
     if not observations.settings.images:
         return {}

@@ -1,4 +1,4 @@
-"""What the page of a dataset shows of its recordings, made on all cores: clips, views of cameras, scenes in 3-D."""
+"""What the page of a dataset shows of its recordings, made on all cores: clips, camera views, scenes in 3-D."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from dynaforge.reports.viewer_clips import Filmer, ViewerEpisode, camera_films
 from dynaforge.sampling.processes import worker_pool
 from dynaforge.tasks import Task
 
-# By the option, which is called like the module and the extra it needs.
-SCENES: dict[str, tuple[str, str, Callable[[Path, Scene3D], None]]] = {  # title, suffix, writer
+# The names are those of the command's options, and of the module and the extra that each needs.
+SCENES: dict[str, tuple[str, str, Callable[[Path, Scene3D], None]]] = {  # title, file ending, writer
     "viser": ("scene in 3-D", ".html", write_viser),
     "rerun": ("for Rerun's viewer", ".rrd", write_rerun),
 }
@@ -33,8 +33,8 @@ class ViewOptions:
     Attributes:
         folder: The dataset.
         task: Its task.
-        page: The page's file, beside which scenes are written.
-        clips: Whether to film.
+        page: File of the page, beside which scenes are written.
+        clips: Whether to make films.
         scenes: Names in `SCENES`.
         observations: Folder of rendered observations; None for none.
     """
@@ -47,7 +47,7 @@ class ViewOptions:
     observations: Path | None = None
 
     def load_extras(self) -> None:
-        """Import the optional packages that the page needs, so that a missing one is reported before the work.
+        """Import the optional packages that the page needs, so that a missing one is reported before any work.
 
         Raises:
             ImportError: One is not installed.
@@ -77,12 +77,12 @@ def spread_over_difficulties(attempts: Sequence[Attempt], recorded: set[str], li
 
 
 def viewer_episodes(options: ViewOptions, ids: Sequence[str], *, workers: int = 1) -> Iterator[ViewerEpisode]:
-    """Yield what the page shows of each recording, in order; scenes are written on the way.
+    """Yield what the page shows of each recording, in order, and write their scenes.
 
     Args:
-        options: What that is.
-        ids: The recordings.
-        workers: Processes.
+        options: What the page shows.
+        ids: Ids of the recordings.
+        workers: Number of processes.
 
     Raises:
         OSError: A worker died.
@@ -100,10 +100,10 @@ def viewer_episodes(options: ViewOptions, ids: Sequence[str], *, workers: int = 
 
 
 class EpisodeMaker:
-    """Makes what the page shows of one recording after another, opening what that needs once.
+    """Makes what the page shows of one recording after another, with dataset and physics opened once.
 
     Args:
-        options: What that is.
+        options: What the page shows.
     """
 
     def __init__(self, options: ViewOptions) -> None:
@@ -114,7 +114,7 @@ class EpisodeMaker:
         self._recorder = self._stack.enter_context(closing(SceneRecorder(options.task))) if options.scenes else None
 
     def make(self, name: str) -> ViewerEpisode:
-        """Return it; a note says what cannot be read or simulated again."""
+        """Return what the page shows of a recording; a note says what cannot be read or simulated again."""
         try:
             episode = self._dataset[name]
         except (KeyError, ValueError, OSError) as error:
@@ -137,7 +137,7 @@ class EpisodeMaker:
         self._stack.close()
 
     def _scenes(self, episode: Episode) -> dict[str, str]:
-        """Write the scenes of an episode; returns links to them by their titles."""
+        """Write the scenes of an episode; return the links to them by their titles."""
         links: dict[str, str] = {}
         if self._recorder and len(episode):
             scene, folder = self._recorder.record(episode), scene_folder(self._options.page)
@@ -154,7 +154,7 @@ def scene_folder(page: Path) -> Path:
     return page.with_name(f"{page.stem}-scenes")
 
 
-_maker: EpisodeMaker | None = None  # of a worker process
+_maker: EpisodeMaker | None = None  # that of this worker process
 
 
 def _start(options: ViewOptions) -> None:

@@ -1,4 +1,4 @@
-"""What the page of `dynaforge view` does: addresses, list, films, plots. All text goes in as text, never as HTML."""
+"""The script of the page of `dynaforge view`: addresses, list, films. All text is inserted as text, never as HTML."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ function go(hash) {
   location.hash = hash;
   route(); // at once: the event comes later, and a key may be pressed again before
 }
-function asked() {
+function requested() {
   const text = location.hash.startsWith("#episode=") ? location.hash.slice(9) : "";
   try { return decodeURIComponent(text); } catch { return text; }
 }
 function route() {
-  const summary = location.hash === "#summary", id = asked();
+  const summary = location.hash === "#summary", id = requested();
   for (const name of ["episodes", "summary"]) {
     const on = summary === (name === "summary"), tab = get("tab-" + name);
     get("panel-" + name).hidden = !on;
@@ -53,7 +53,7 @@ function route() {
     document.title = "Summary · " + PAGE.title;
     return;
   }
-  if (id && !BY_ID.has(id)) show_nothing(`This page holds no episode ${id}.`);
+  if (id && !BY_ID.has(id)) show_nothing(`This page contains no episode ${id}.`);
   else show(id ? BY_ID.get(id) : current && listed.includes(current) ? current : listed[0]);
   if (id && narrow.matches) get("bar").scrollIntoView({block: "start"});
 }
@@ -69,10 +69,10 @@ function fits(e) {
 }
 function row(e) {
   if (!rows.has(e)) {
-    const about = `difficulty ${with_unit(e.difficulty, PAGE.unit)}, ${e.duration} s` +
+    const details = `difficulty ${with_unit(e.difficulty, PAGE.unit)}, ${e.duration} s` +
       (e.time ? "" : ", not shown");
     const button = make("button", {onclick: () => choose(e)},
-      make("span", {className: e.ok ? "good" : "bad"}, outcome(e)), make("small", {}, about));
+      make("span", {className: e.ok ? "good" : "bad"}, outcome(e)), make("small", {}, details));
     rows.set(e, make("li", {}, button));
   }
   return rows.get(e);
@@ -86,7 +86,7 @@ function list() {
   if (listed.length > MOST) items.push(make("li", {className: "empty"},
     `${listed.length - MOST} more; filter to see them.`));
   if (!EPISODES.length) items.push(make("li", {className: "empty"},
-    "The folder holds no attempts yet. ", make("code", {}, `dynaforge collect --task ${PAGE.task} --out FOLDER`),
+    "The folder contains no attempts yet. ", make("code", {}, `dynaforge collect --task ${PAGE.task} --out FOLDER`),
     " makes some."));
   else if (!listed.length) items.push(make("li", {className: "empty"}, "No attempt fits these filters.", make("br"),
     make("button", {onclick: () => { filter({}); get("words").focus(); }}, "Clear the filters")));
@@ -146,7 +146,7 @@ function show_nothing(text) {
 function show(e) {
   if (!e) return show_nothing(EPISODES.length ? "Clear the filters to see one." : "There is nothing to show.");
   if (e === current) return mark();
-  const held = get("content").contains(document.activeElement) && (document.activeElement.dataset.keep || "heading");
+  const focused = get("content").contains(document.activeElement) && (document.activeElement.dataset.keep || "heading");
   current = e; cursors = []; video = null;
   document.title = `${outcome(e)}, ${with_unit(e.difficulty, PAGE.unit)} · ${PAGE.title}`;
   get("heading").replaceChildren(make("span", {className: e.ok ? "good" : "bad"}, outcome(e)),
@@ -159,19 +159,19 @@ function show(e) {
   parts.push(top);
   if (e.plots) parts.push(make("div", {className: "plots"}, ...e.plots.map(plot => figure(e, plot))));
   get("content").replaceChildren(...parts);
-  const same = held && get("content").querySelector(`[data-keep="${CSS.escape(held)}"]`);
-  if (held) (same || get("heading")).focus({preventScroll: true});
+  const same = focused && get("content").querySelector(`[data-keep="${CSS.escape(focused)}"]`);
+  if (focused) (same || get("heading")).focus({preventScroll: true});
   mark();
 }
 function facts(e) {
   const seconds = time => time == null ? "–" : time.toFixed(2) + " s";
-  const told = [["id", e.id], ["generator", e.generator], ["ended in phase", e.phase || "–"],
+  const entries = [["id", e.id], ["generator", e.generator], ["ended in phase", e.phase || "–"],
     ["checkpoints", `${e.checkpoint} of ${PAGE.phases}`], ["length", seconds(e.duration)],
     ["difficulty", with_unit(e.difficulty, PAGE.unit)]];
-  if (e.time) told.push(["planned contact", seconds(e.planned)], ["first contact", seconds(e.contact)]);
-  for (const [name, value, unit] of e.values) told.push([name, with_unit(value, unit)]);
+  if (e.time) entries.push(["planned contact", seconds(e.planned)], ["first contact", seconds(e.contact)]);
+  for (const [name, value, unit] of e.values) entries.push([name, with_unit(value, unit)]);
   const listing = make("dl", {className: "facts"});
-  for (const [name, value] of told) listing.append(make("div", {}, make("dt", {}, name), make("dd", {}, value)));
+  for (const [name, value] of entries) listing.append(make("div", {}, make("dt", {}, name), make("dd", {}, value)));
   for (const [name, path] of Object.entries(e.scenes || {})) listing.append(make("div", {}, make("dt", {}, name),
     make("dd", {}, make("a", {href: path, target: "_blank", rel: "noopener"}, "open"))));
   return listing;

@@ -1,4 +1,4 @@
-"""The figures of the page's summary: success by difficulty and by generator, lengths, and why attempts failed."""
+"""The numbers of the page's summary: success by difficulty and by generator, lengths, and why attempts failed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation.dgr import Count, failure_counts
+from dynaforge.reports.evaluation import by_generator
 from dynaforge.tasks import Task
 
 STRATA = 8
@@ -17,7 +18,7 @@ LENGTHS = 16  # bars of the histogram
 
 
 def strata(task: Task) -> list[str]:
-    """Name the equal parts of the difficulty's range, in its unit."""
+    """Return the names of the bins of difficulty, e.g. "0.2 to 0.3 m/s"."""
     edges = np.linspace(*task.conditions.difficulty_range, STRATA + 1).tolist()
     unit = task.conditions.units.get(task.conditions.difficulty, "")
     return [f"{low:.3g} to {high:.3g} {unit}".rstrip() for low, high in itertools.pairwise(edges)]
@@ -28,21 +29,19 @@ def summarise(task: Task, attempts: Sequence[Attempt]) -> dict[str, Any]:
 
     Args:
         task: The task.
-        attempts: All of them.
+        attempts: All attempts of the dataset.
 
     Returns:
-        `bins` and `generators`: (name, n, won, low, high), the latter two of Wilson's 95 % interval; `lengths`: the
-        longest in seconds, successes and failures in each of the equal parts up to it; `failures`: (reason, count),
-        the commonest first.
+        `bins` and `generators`: (name, n, successes, low, high), where low and high are the Wilson 95 % interval;
+        `lengths`: the longest attempt in seconds, and the numbers of successes and failures in each of `LENGTHS` equal
+        parts up to it; `failures`: (reason, count), the most frequent first.
     """
     parts: list[list[Attempt]] = [[] for _ in range(STRATA)]
-    by_generator: dict[str, list[Attempt]] = {}
     for attempt in attempts:
         parts[task.conditions.stratum(attempt.difficulty, STRATA)].append(attempt)
-        by_generator.setdefault(attempt.generator, []).append(attempt)
     return {
         "bins": [_counted(name, part) for name, part in zip(strata(task), parts, strict=True)],
-        "generators": [_counted(name, made) for name, made in sorted(by_generator.items())],
+        "generators": [_counted(name, made) for name, made in by_generator(attempts).items()],
         "lengths": _lengths(attempts),
         "failures": list(failure_counts(attempts).items()),
     }
@@ -55,10 +54,10 @@ def _counted(name: str, attempts: Sequence[Attempt]) -> list[Any]:
 
 
 def _lengths(attempts: Sequence[Attempt]) -> dict[str, Any]:
-    """Count lengths; an attempt that never began has none."""
+    """Return the histogram of lengths; an attempt that never began has none."""
     longest = max((attempt.duration for attempt in attempts), default=0.0)
     counts = {}
-    for name, wanted in (("won", True), ("lost", False)):
+    for name, wanted in (("successes", True), ("failures", False)):
         lengths = [a.duration for a in attempts if a.success is wanted and a.duration > 0]
         counts[name] = np.histogram(lengths, bins=LENGTHS, range=(0.0, longest or 1.0))[0].tolist()
     return {"longest": round(longest, 2), **counts}

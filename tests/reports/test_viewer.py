@@ -49,7 +49,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         layout = observations.settings.layout
         observations.write(episode, {n: np.zeros((len(episode), *s), t) for n, (s, t) in layout.items()}, [])
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(viewer_clips, "EVERY", EVERY)
+        patched.setattr(viewer_clips, "FRAME_STEPS", EVERY)
         assert main(["view", str(folder), "--limit", "2", "--workers", "1"]) == 0
     return folder
 
@@ -177,7 +177,7 @@ def test_the_summary_counts_every_attempt() -> None:
     assert told["failures"] == [("lost track", 2), ("dropped", 1)]
     assert told["generators"][0][:3] == ["x", 4, 1]
     assert told["lengths"]["longest"] == 4.0
-    assert (sum(told["lengths"]["won"]), sum(told["lengths"]["lost"])) == (1, 3)
+    assert (sum(told["lengths"]["successes"]), sum(told["lengths"]["failures"])) == (1, 3)
 
 
 def test_a_recording_that_cannot_be_read_leaves_a_page(data: Path, tmp_path: Path, capsys: Any) -> None:
@@ -240,7 +240,7 @@ def test_every_episode_has_an_address(data: Path, browser: Chromium) -> None:
     browser.ask("history.back()")
     browser.until("document.getElementById('panel-summary').hidden")
     browser.open(page + "#episode=%3Cb%3E")
-    assert "This page holds no episode <b>." in browser.ask("document.body.innerText")
+    assert "This page contains no episode <b>." in browser.ask("document.body.innerText")
     assert browser.errors == []
 
 
@@ -309,11 +309,11 @@ def test_nothing_in_the_data_runs(data: Path, tmp_path: Path, browser: Chromium)
 def test_empty_lists_say_so(tmp_path: Path, browser: Chromium) -> None:
     write_viewer(tmp_path / "none.html", CAN, [], [], title="none")
     browser.open((tmp_path / "none.html").as_uri())
-    assert "The folder holds no attempts yet." in browser.ask("document.body.innerText")
+    assert "The folder contains no attempts yet." in browser.ask("document.body.innerText")
     browser.press("n")
     browser.press("s")
     browser.until("document.body.innerText.includes('No attempts yet.')")
-    write_viewer(tmp_path / "won.html", CAN, [attempt(1, "")], [], title="won")
-    browser.open((tmp_path / "won.html").as_uri() + "#summary")
+    write_viewer(tmp_path / "succeeded.html", CAN, [attempt(1, "")], [], title="succeeded")
+    browser.open((tmp_path / "succeeded.html").as_uri() + "#summary")
     assert "No failures." in browser.ask("document.body.innerText")
     assert browser.errors == []

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+
+from dynaforge.demos import Attempt
+from dynaforge.reports.evaluation import BINS, by_generator, gains_over_first, reports_of
+from dynaforge.tasks import Outcome, get_task
+
+CAN = get_task("can")
+
+
+def attempts(generator: str, success: np.ndarray, *, n_strata: int | None = BINS) -> list[Attempt]:
+    """One attempt for each entry of `success`, on conditions that take the difficulty bins in turn."""
+    conditions = islice(CAN.conditions.stream("val", n_strata=n_strata), len(success))
+    return [
+        Attempt(
+            condition=condition,
+            generator=generator,
+            outcome=Outcome(success=True, checkpoint=5)
+            if ok
+            else Outcome(success=False, checkpoint=0, failure="slipped"),
+            duration=1.0,
+        )
+        for condition, ok in zip(conditions, success, strict=True)
+    ]
+
+
+def test_a_gain_says_in_which_bins_it_is_worse() -> None:
+    before = np.ones((20, BINS), bool)
+    after = before.copy()
+    after[:, 2] = False
+    measured = {"planner_only": attempts("planner_only", before.ravel()), "new": attempts("new", after.ravel())}
+    (gain,) = gains_over_first(CAN, measured)
+    assert gain.worse_bins == (2,)
+    first, second = gain.text.splitlines()
+    assert first.startswith("new against planner_only: paired gain -12.5 points")
+    assert "of 160 conditions 0 only now succeed, 20 only before" in first
+    assert second == "worse in difficulty bins: 3 of 8"
+    assert gain.to_dict()["no_bin_lost"] == {"holds": False, "lost": [2]}
+    (same,) = gains_over_first(CAN, dict.fromkeys(("a", "b"), measured["new"]))
+    assert same.text.splitlines()[1] == "worse in difficulty bins: none of 8"
+
+
+def test_bins_are_not_compared_where_the_conditions_do_not_take_them_in_turn() -> None:
+    success = np.arange(16) % 3 > 0
+    measured = {name: attempts(name, success, n_strata=None) for name in ("planner_only", "new")}
+    (gain,) = gains_over_first(CAN, measured)
+    assert gain.worse_bins is None
+    assert "no_bin_lost" not in gain.to_dict()
+    assert len(gain.text.splitlines()) == 1
+
+
+def test_attempts_are_grouped_by_their_generator() -> None:
+    made = [*attempts("b", np.ones(2, bool)), *attempts("a", np.zeros(3, bool))]
+    rates = {report.label: (report.total.successes, report.n) for report in reports_of(CAN, by_generator(made))}
+    assert rates == {"a": (0, 3), "b": (2, 2)}
+    assert list(rates) == ["a", "b"]
