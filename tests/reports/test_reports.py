@@ -4,6 +4,7 @@ import io
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -205,13 +206,16 @@ def test_report_escapes_what_it_is_given(mp4):
     assert "<title>Can &lt;end to end&gt;</title>" in page
 
 
+def bare(reports: list[DgrReport]) -> ReportData:
+    return ReportData(title="t", task="can", command="c", date="d", seeds={}, versions={}, reports=reports)
+
+
 def test_report_without_clips_figures_and_comparison_is_still_a_page():
-    bare = ReportData("t", "can", "c", "d", {}, {}, [report(0.5, "planner only")])
-    page = render_report(bare)
+    page = render_report(bare([report(0.5, "planner only")]))
     assert "<h2>Clips</h2>" not in page
     assert "50" in page
     with pytest.raises(ValueError, match="PNG or SVG"):
-        render_report(ReportData("t", "can", "c", "d", {}, {}, [], figures=[ReportFigure("f", "", b"text")]))
+        render_report(replace(bare([]), figures=[ReportFigure("f", "", b"text")]))
 
 
 def test_missing_package_names_the_extra(monkeypatch):
