@@ -1,4 +1,4 @@
-"""Success rates and what can be said about them: DGR, paired statistics, the competence frontier."""
+"""Success rates and their statistics: DGR, paired comparisons, the competence frontier."""
 
 from dynaforge.evaluation.dgr import DgrReport, comparison_table, task_table
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier

@@ -1,4 +1,4 @@
-"""The demonstration generation rate: successes over every attempt made, with bins, blocks and reasons."""
+"""The demonstration generation rate (DGR): successes over all attempts, with bins, blocks and failure reasons."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class AttemptRecord(Protocol):
 
     @property
     def difficulty(self) -> float:
-        """Nominal difficulty of the condition, in the task's unit."""
+        """Nominal difficulty of the condition, in the task's own unit."""
 
     @property
     def success(self) -> bool:
-        """Whether it succeeded."""
+        """Whether the attempt succeeded."""
 
     @property
     def failure(self) -> str:
@@ -33,12 +33,16 @@ class AttemptRecord(Protocol):
 
     @property
     def block(self) -> int:
-        """Which block of conditions it belongs to."""
+        """Number of the block that the condition belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
 class CountedAttempt:
-    """A bare `AttemptRecord`, for attempts that are only counted."""
+    """A plain `AttemptRecord`, for attempts that are only counted.
+
+    Attributes:
+        difficulty, success, failure, block: As in `AttemptRecord`.
+    """
 
     difficulty: float
     success: bool
@@ -70,10 +74,10 @@ class DgrReport:
 
     Attributes:
         label: What was measured, e.g. "planner only".
-        total: All attempts pooled.
-        blocks: By block of conditions, in order of their number.
-        edges: Edges of the difficulty bins, ascending, one more than bins.
-        bins: By difficulty, easiest first.
+        total: Count of all attempts.
+        blocks: Count of each block of conditions, in the order of their numbers.
+        edges: Edges of the difficulty bins, ascending, one more than there are bins.
+        bins: Count of each difficulty bin, the easiest first.
         failures: Number of failed attempts by reason, most frequent first.
     """
 
@@ -93,6 +97,8 @@ class DgrReport:
         Args:
             attempts: Every attempt that was made, in any order.
             difficulty_range: Lowest and highest difficulty of the task; the bins divide it equally.
+            n_bins: Number of difficulty bins.
+            label: What was measured.
 
         Raises:
             ValueError: No attempts, an empty range, or a difficulty outside of it.
@@ -104,7 +110,7 @@ class DgrReport:
         bins: list[list[AttemptRecord]] = [[] for _ in range(n_bins)]
         blocks: dict[int, list[AttemptRecord]] = {}
         for record in records:
-            bins[_bin(record.difficulty, low, high, n_bins)].append(record)
+            bins[_bin_of(record.difficulty, low, high, n_bins)].append(record)
             blocks.setdefault(record.block, []).append(record)
         return DgrReport(
             label=label,
@@ -136,25 +142,25 @@ class DgrReport:
         return self.total.interval
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON data, derived figures included for readers of the file."""
+        """Return the report as plain JSON data, with derived figures for readers of the file."""
         derived = {
             "rate": self.total.rate,
             "interval": list(self.interval),
-            "std": None if self.std != self.std else self.std,
+            "std": None if math.isnan(self.std) else self.std,
         }
         return {
             "label": self.label,
             "total": asdict(self.total),
             "blocks": [asdict(block) for block in self.blocks],
             "edges": list(self.edges),
-            "bins": [asdict(one) for one in self.bins],
+            "bins": [asdict(count) for count in self.bins],
             "failures": dict(self.failures),
             "derived": derived,
         }
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> DgrReport:
-        """Rebuild a report from `to_dict`; derived figures are computed anew.
+        """Rebuild a report from `to_dict`; derived figures are computed again.
 
         Raises:
             ValueError: A field is missing or malformed.
@@ -165,14 +171,14 @@ class DgrReport:
                 total=Count(**data["total"]),
                 blocks=tuple(Count(**block) for block in data["blocks"]),
                 edges=tuple(float(edge) for edge in data["edges"]),
-                bins=tuple(Count(**one) for one in data["bins"]),
+                bins=tuple(Count(**count) for count in data["bins"]),
                 failures={str(key): int(value) for key, value in data["failures"].items()},
             )
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"Not a DGR report: {error!r}.") from error
 
     def table(self, *, width: int = 80) -> str:
-        """Return bins, total and failure reasons as plain text."""
+        """Return bins, total and failure reasons as plain text, `width` columns wide at most."""
         grid = Table(title=self.label or None, title_justify="left")
         for name in ("difficulty", "n", "success", "95 %"):
             grid.add_column(name, justify="right")
@@ -199,7 +205,13 @@ def ranked_reasons(reports: Iterable[DgrReport]) -> list[str]:
 
 
 def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:
-    """Return one line a report as plain text, and below it the paired gain if given."""
+    """Return one row per report as plain text, and the paired gain below them if given.
+
+    Args:
+        reports: The reports.
+        paired: The last report against the first, on the same conditions.
+        width: Columns of text at most.
+    """
     grid = Table()
     for name in ("", "n", "success", "95 %", "std of blocks"):
         grid.add_column(name, justify="left" if not name else "right")
@@ -214,7 +226,8 @@ def task_table(reports: Mapping[str, Sequence[DgrReport]], *, width: int = 120) 
     """Return the rates of generators over tasks as plain text, and their means over the tasks at the end.
 
     Args:
-        reports: Task name to one report a generator, the same generators in the same order for every task.
+        reports: Task name to one report per generator, the same generators in the same order for every task.
+        width: Columns of text at most.
     """
     grid = Table()
     for name in ("task", "generator", "n", "success", "std", "95 %", "by difficulty, easy to hard, %"):
@@ -233,7 +246,7 @@ def task_table(reports: Mapping[str, Sequence[DgrReport]], *, width: int = 120) 
 
 
 def describe_gain(paired: PairedDifference) -> str:
-    """Say in one line what a paired comparison found."""
+    """Return the result of a paired comparison in one line."""
     low, high = paired.interval
     p = f"p = {paired.p_value:.2g}" if paired.p_value >= 1e-4 else "p < 0.0001"
     return (
@@ -242,7 +255,7 @@ def describe_gain(paired: PairedDifference) -> str:
     )
 
 
-def _bin(difficulty: float, low: float, high: float, n_bins: int) -> int:
+def _bin_of(difficulty: float, low: float, high: float, n_bins: int) -> int:
     if not low <= difficulty <= high:
         raise ValueError(f"Difficulty {difficulty:g} lies outside the task's range [{low:g}, {high:g}].")
     return min(int((difficulty - low) / (high - low) * n_bins), n_bins - 1)

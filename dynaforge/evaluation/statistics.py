@@ -24,7 +24,7 @@ class Interval(NamedTuple):
 def wilson_bounds(successes: ArrayLike, n: ArrayLike, *, confidence: float = 0.95) -> tuple[Array, Array]:
     """Return the lower and upper Wilson score bounds of success rates, element by element.
 
-    No trials give (0, 1): nothing is known.
+    Without trials the bounds are (0, 1), because nothing is known.
 
     Args:
         successes, n: Counts of equal or broadcastable shape, 0 <= successes <= n.
@@ -41,7 +41,7 @@ def wilson_bounds(successes: ArrayLike, n: ArrayLike, *, confidence: float = 0.9
     rate, shrink = k / some, 1.0 + z**2 / some
     centre = (rate + z**2 / (2 * some)) / shrink
     half = z * np.sqrt(rate * (1 - rate) / some + z**2 / (4 * some**2)) / shrink
-    # At 0 and n the bounds are exactly 0 and 1; rounding would leave a hair.
+    # For k = 0 and k = n one bound is exactly 0 or 1, which rounding would miss.
     low = np.where(k == 0, 0.0, centre - half)
     high = np.where(k == trials, 1.0, centre + half)
     return low, high
@@ -49,6 +49,10 @@ def wilson_bounds(successes: ArrayLike, n: ArrayLike, *, confidence: float = 0.9
 
 def wilson_interval(successes: int, n: int, *, confidence: float = 0.95) -> Interval:
     """Return the Wilson score interval of one success rate; (0, 1) for n = 0.
+
+    Args:
+        successes, n: Successes and trials.
+        confidence: Two-sided confidence.
 
     Raises:
         ValueError: As `wilson_bounds`.
@@ -63,7 +67,7 @@ class PairedDifference:
 
     Attributes:
         n: Number of pairs.
-        both, only_a, only_b, neither: How many conditions each alone, both or none solved.
+        both, only_a, only_b, neither: On how many conditions both, only one, or neither of them succeeded.
         difference: Success rate of b minus that of a.
         interval: Newcombe's hybrid score interval of the difference (his method 10).
         p_value: Exact two-sided McNemar test of "no difference".
@@ -88,10 +92,11 @@ def paired_difference(a: ArrayLike, b: ArrayLike, *, confidence: float = 0.95) -
     sound coverage where the Wald interval fails (few or no discordant pairs).
 
     Args:
-        a, b: Success of each on condition i, shape (n,).
+        a, b: Success of each generator on condition i, shape (n,).
+        confidence: Two-sided confidence of the interval.
 
     Raises:
-        ValueError: Unequal lengths, none at all, or values other than success and failure.
+        ValueError: Unequal lengths, no conditions, or values other than success and failure.
     """
     first, second = _outcomes(a), _outcomes(b)
     if first.shape != second.shape or first.ndim != 1 or not first.size:
@@ -115,18 +120,19 @@ def paired_difference(a: ArrayLike, b: ArrayLike, *, confidence: float = 0.95) -
 
 def mcnemar_exact(only_a: int, only_b: int) -> float:
     """Return the exact two-sided McNemar p value of the two discordant counts; 1 when there are none."""
-    n, least = only_a + only_b, min(only_a, only_b)
-    tail = sum(math.comb(n, k) for k in range(least + 1))
+    n, fewer = only_a + only_b, min(only_a, only_b)
+    tail = sum(math.comb(n, k) for k in range(fewer + 1))
     return min(1.0, float(2 * tail / 2**n))
 
 
-def _newcombe(both: int, gained: int, lost: int, neither: int, *, confidence: float) -> Interval:
-    n = both + gained + lost + neither
-    k_after, k_before = both + gained, both + lost
+def _newcombe(both: int, only_after: int, only_before: int, neither: int, *, confidence: float) -> Interval:
+    """Return Newcombe's interval of the rate after minus the rate before, from the four counts of pairs."""
+    n = both + only_after + only_before + neither
+    k_after, k_before = both + only_after, both + only_before
     after, before = k_after / n, k_before / n
     low_after, high_after = wilson_interval(k_after, n, confidence=confidence)
     low_before, high_before = wilson_interval(k_before, n, confidence=confidence)
-    product = float(both * neither - gained * lost)
+    product = float(both * neither - only_after * only_before)
     if product > 0:
         product = max(product - n / 2, 0.0)  # the continuity correction of method 10
     margins = k_after * (n - k_after) * k_before * (n - k_before)
@@ -143,7 +149,13 @@ def _newcombe(both: int, gained: int, lost: int, neither: int, *, confidence: fl
 
 @dataclass(frozen=True, slots=True)
 class BootstrapDifference:
-    """Difference of two training algorithms with its bootstrap interval."""
+    """Difference of two training algorithms with its bootstrap interval.
+
+    Attributes:
+        difference: Success rate of b minus that of a, mean over tasks.
+        interval: Percentile interval of the difference.
+        resamples: Number of resamples.
+    """
 
     difference: float
     interval: Interval
@@ -151,17 +163,22 @@ class BootstrapDifference:
 
 
 def bootstrap_over_tasks(
-    pairs: Sequence[tuple[ArrayLike, ArrayLike]], *, rng: np.random.Generator, resamples: int = 10_000,
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]],
+    *,
+    rng: np.random.Generator,
+    resamples: int = 10_000,
     confidence: float = 0.95,
-) -> BootstrapDifference:  # fmt: skip
+) -> BootstrapDifference:
     """Compare two training algorithms by the mean over tasks of their difference in success rate.
 
-    The tasks are taken as given. Within a task, training seeds are resampled for each algorithm on its own,
-    conditions for both together since they are shared. Percentile interval.
+    Tasks are not resampled. Within a task, training seeds are resampled for each algorithm separately, and conditions
+    for both together since they are shared. The interval is the percentile interval.
 
     Args:
         pairs: For each task (a, b), success of training seed s on condition c, shapes (S_a, C) and (S_b, C).
-        rng: Where the resampling draws from.
+        rng: What the resampling draws from.
+        resamples: Number of resamples.
+        confidence: Two-sided confidence of the interval.
 
     Raises:
         ValueError: No task, the shapes do not fit, or the outcomes are not binary.
@@ -174,8 +191,11 @@ def bootstrap_over_tasks(
         if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not (first.size and second.size):
             raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
         conditions = _weights(first.shape[1], resamples, rng)
-        low, high = (np.sum((_weights(len(o), resamples, rng) @ o) * conditions, axis=1) for o in (first, second))
-        draws += (high - low) / len(pairs)
+        rates = [
+            np.sum((_weights(len(outcomes), resamples, rng) @ outcomes) * conditions, axis=1)
+            for outcomes in (first, second)
+        ]
+        draws += (rates[1] - rates[0]) / len(pairs)
         differences.append(second.mean() - first.mean())
     tail = (1 - confidence) / 2
     ends = np.quantile(draws, [tail, 1 - tail])
@@ -183,7 +203,8 @@ def bootstrap_over_tasks(
 
 
 def _weights(n: int, resamples: int, rng: np.random.Generator) -> Array:
-    return np.asarray(rng.multinomial(n, np.full(n, 1 / n), size=resamples) / n)  # (resamples, n)
+    """Return how often each of n items is drawn in a resample, as a share, shape (resamples, n)."""
+    return np.asarray(rng.multinomial(n, np.full(n, 1 / n), size=resamples) / n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,11 +247,13 @@ def no_bin_worse(
     if len(rows_before) != len(rows_after) or not rows_before:
         raise ValueError(f"Expected the same bins twice; given {len(rows_before)} and {len(rows_after)}.")
     pairs = zip(rows_before, rows_after, strict=True)
-    bins = tuple(paired_difference(x, y, confidence=confidence) for x, y in pairs)
-    return BinComparison(bins, tuple(i for i, one in enumerate(bins) if one.interval.high < -margin))
+    bins = tuple(paired_difference(a, b, confidence=confidence) for a, b in pairs)
+    worse = tuple(index for index, difference in enumerate(bins) if difference.interval.high < -margin)
+    return BinComparison(bins, worse)
 
 
 def _outcomes(values: ArrayLike) -> NDArray[np.bool_]:
+    """Return outcomes as booleans, or refuse what is neither success nor failure."""
     array = np.asarray(values)
     if not np.all((array == 0) | (array == 1)):
         raise ValueError("Outcomes must be success (1, True) or failure (0, False).")
@@ -238,6 +261,7 @@ def _outcomes(values: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _quantile(confidence: float) -> float:
+    """Return the quantile of the normal distribution for a two-sided confidence."""
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"Confidence must lie between 0 and 1, given {confidence}.")
     return NormalDist().inv_cdf(0.5 + confidence / 2)

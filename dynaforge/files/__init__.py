@@ -1,1 +1,1 @@
-"""Writing files so that a kill leaves none in part, and the versions that a result depends on."""
+"""Writing files so that a kill never leaves an incomplete one, and the versions of the installed packages."""

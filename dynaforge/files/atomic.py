@@ -1,4 +1,4 @@
-"""Files that are whole or absent: the one place for "temporary name, fsync, rename"."""
+"""Files that are complete or absent: the one place for "temporary name, fsync, rename"."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _TEMPORARY = ".tmp"
 def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> None:
     """Put a file in place in one step: a reader, or a kill at any instant, sees the old file or the new one.
 
-    The content goes to a hidden temporary name in the same folder, is forced to disk, takes the final name by a
-    rename, and the folder is forced to disk too. When anything fails the temporary file is removed.
+    The content is written under a hidden temporary name in the same folder and forced to disk, the file is renamed, and
+    the folder is forced to disk too. If anything fails, the temporary file is removed.
 
     Args:
         path: Final name. Its folder must exist.
-        content: The bytes, or a function that writes the whole file at the temporary path it is given. That path
-            ends in the final suffix (`.zip`, `.h5`), for libraries that choose a format or append one by it.
+        content: The bytes, or a function that writes the whole file at the temporary path that it is given. That path
+            has the final suffix (`.zip`, `.h5`), because some libraries choose the format by it or append their own.
 
     Raises:
         OSError: The folder is missing or not writable, or the disk is full.
@@ -44,7 +44,7 @@ def atomic_write(path: str | Path, content: bytes | Callable[[Path], None]) -> N
 
 @contextlib.contextmanager
 def errors_naming(path: Path) -> Iterator[None]:
-    """Give errors of calls that know a descriptor only, such as "No space left on device", the name of the file."""
+    """Add the name of the file to errors of calls that know only a descriptor, such as "No space left on device"."""
     try:
         yield
     except OSError as error:
@@ -54,7 +54,7 @@ def errors_naming(path: Path) -> Iterator[None]:
 
 
 def _write_bytes(path: Path, content: bytes) -> None:
-    # Plain O_CREAT and not mkstemp: the file keeps the umask, so that a shared folder stays shared.
+    # O_CREAT rather than mkstemp, which would ignore the umask: files in a shared folder stay readable by the others.
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         view = memoryview(content)
@@ -74,23 +74,23 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def sync_folder(folder: str | Path) -> None:
-    """Force the names in a folder to disk, so that a rename outlives a power cut."""
-    if os.name == "posix":  # Windows cannot open a folder, and needs no such step.
+    """Force the names in a folder to disk, so that a rename survives a power cut."""
+    if os.name == "posix":  # Windows cannot open a folder, and does not need this
         _sync(Path(folder), os.O_RDONLY)
 
 
 def is_temporary(path: str | Path) -> bool:
-    """Tell whether a name is one that `atomic_write` gives to unfinished files."""
+    """Return whether a name is one that `atomic_write` gives to unfinished files."""
     name = Path(path).name
     return name.startswith(".") and (name.endswith(_TEMPORARY) or Path(name).stem.endswith(_TEMPORARY))
 
 
 def remove_stale(folder: str | Path, *, older_than: float = 3600.0) -> int:
-    """Remove unfinished files that a killed writer left behind; younger ones may still be in someone's hand.
+    """Remove unfinished files that a killed writer left behind; a process may still be writing younger ones.
 
     Args:
         folder: Where to look, not recursively.
-        older_than: Age in seconds since the last write from which a file counts as abandoned.
+        older_than: Seconds since the last write after which a file counts as abandoned.
 
     Returns:
         The number of files removed.
@@ -105,10 +105,10 @@ def remove_stale(folder: str | Path, *, older_than: float = 3600.0) -> int:
 
 
 def check_writable(folder: str | Path) -> None:
-    """Make sure, before any long work, that files can be created in a folder.
+    """Check, before any long work, that files can be created in a folder.
 
     Raises:
-        PermissionError: They cannot; the message names the folder.
+        PermissionError: They cannot be; the message names the folder.
     """
     probe = Path(folder) / f".{uuid.uuid4().hex}{_TEMPORARY}"
     try:
@@ -122,7 +122,7 @@ def check_writable(folder: str | Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of `--out`, or see that it can be written to.
+    """Make the folder of `--out`, and check that it can be written to.
 
     Raises:
         ValueError: It cannot be made.

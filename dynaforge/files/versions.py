@@ -1,4 +1,4 @@
-"""The versions a result depends on."""
+"""The versions of the packages that a result depends on."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ PACKAGES = ("dynaforge", "stable-baselines3", "torch", "numpy", "pybullet", "pin
 
 
 def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str]:
-    """Return the installed version of every package a result depends on."""
+    """Return the installed versions of packages, by default of all that a result depends on."""
     return {name: version(name) for name in packages}

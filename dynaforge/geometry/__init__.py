@@ -1,4 +1,4 @@
-"""Poses, rotations, joint states and trajectories: pure numpy."""
+"""Poses, rotations, joint states and trajectories, in pure numpy."""
 
 from dynaforge.geometry.one_line import one_line
 from dynaforge.geometry.pose import (

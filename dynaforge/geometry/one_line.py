@@ -1,4 +1,4 @@
-"""How values that hold arrays are shown: on one line, long arrays by type and shape."""
+"""The `repr` of dataclasses that contain arrays: one line, with long arrays as type and shape."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
-LONGEST = 9  # numbers of an array, or parts of a list, that are written out: a rotation matrix still is
+LONGEST = 9  # items of an array or list that are written out, enough for a rotation matrix
 
 
 def one_line(value: Any) -> str:
-    """Write a dataclass on one line; classes that hold arrays take it as their `__repr__`."""
+    """Return a dataclass as text on one line; classes that contain arrays use it as their `__repr__`."""
     parts = ", ".join(f"{field.name}={_brief(getattr(value, field.name))}" for field in fields(value))
     return f"{type(value).__name__}({parts})"
 
 
 def _brief(value: Any) -> str:
+    """Return the value of a field as short text."""
     if isinstance(value, np.ndarray) and value.size <= LONGEST and value.dtype.kind in "biuf":
         return str(value.round(4).tolist())
     if getattr(value, "ndim", 0):  # an array of numpy or a tensor of torch

@@ -1,4 +1,4 @@
-"""Rigid poses as value objects that read so inner frames cancel."""
+"""Rigid poses, whose names show that inner frames cancel when they are composed, and conversions of rotations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """A rigid transform, named `T_a_b`: it takes coordinates in frame b to frame a.
+    """A rigid transform, named `T_a_b`: it turns coordinates in frame b into coordinates in frame a.
 
     Poses compose so that inner frames cancel: `T_world_ee = T_world_object @ T_object_ee`.
 
@@ -48,7 +48,7 @@ class Pose:
         return Pose(transposed, -(transposed @ self.position))
 
     def apply(self, points: Array) -> Array:
-        """Take points of frame b, metres, shape (..., 3), to frame a."""
+        """Turn points in frame b, metres, shape (..., 3), into points in frame a."""
         return points @ self.rotation.T + self.position
 
     @property
@@ -60,7 +60,8 @@ class Pose:
 def matrix_from_quat(quat_wxyz: ArrayLike) -> Array:
     """Turn a quaternion (w, x, y, z), shape (4,), of any positive length, into a rotation matrix, shape (3, 3).
 
-    Plain floats: three times as fast as numpy on four numbers, and this runs at every control step.
+    It computes with plain floats, which is three times as fast as numpy on four numbers: this runs at every control
+    step.
     """
     w, x, y, z = (float(c) for c in np.asarray(quat_wxyz))
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -76,7 +77,7 @@ def matrix_from_quat(quat_wxyz: ArrayLike) -> Array:
 def quat_from_matrix(rotation: Array) -> Array:
     """Turn a rotation matrix, shape (3, 3), into a unit quaternion (w, x, y, z) with w >= 0, shape (4,)."""
     (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    # Four candidates; the largest component is never near zero, so the division is safe.
+    # The largest of the four components is never near zero, so that the division by it is safe.
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)
     k = max(range(4), key=squares.__getitem__)
     r = math.sqrt(squares[k])
@@ -91,7 +92,7 @@ def quat_from_matrix(rotation: Array) -> Array:
 
 
 def matrix_from_rotvec(rotvec: ArrayLike) -> Array:
-    """Rodrigues' formula: rotation vector, radians, shape (3,), to rotation matrix, shape (3, 3)."""
+    """Turn a rotation vector, radians, shape (3,), into a rotation matrix, shape (3, 3), by Rodrigues' formula."""
     x, y, z = (float(c) for c in np.asarray(rotvec))
     angle2 = x * x + y * y + z * z
     angle = math.sqrt(angle2)
@@ -109,7 +110,7 @@ def matrix_from_rotvec(rotvec: ArrayLike) -> Array:
 
 
 def rotvec_from_matrix(rotation: Array) -> Array:
-    """Rotation vector, radians, shape (3,), of a rotation matrix, shape (3, 3); its length is at most pi."""
+    """Turn a rotation matrix, shape (3, 3), into a rotation vector, radians, shape (3,), of length pi at most."""
     w, x, y, z = quat_from_matrix(rotation).tolist()
     n = math.sqrt(x * x + y * y + z * z)
     scale = 2.0 if n < 1e-12 else 2.0 * math.atan2(n, w) / n
@@ -119,26 +120,29 @@ def rotvec_from_matrix(rotation: Array) -> Array:
 def rotation_6d_from_matrix(rotation: Array) -> Array:
     """Return the first two columns of a rotation matrix, shape (3, 3), one after the other, shape (6,).
 
-    Unlike quaternions and rotation vectors these six numbers are continuous: none of them jumps near a half turn.
+    Unlike quaternions and rotation vectors, these six numbers are continuous: none of them jumps near a half turn.
     """
     return np.concatenate((rotation[:, 0], rotation[:, 1]))
 
 
 def matrix_from_rotation_6d(columns: ArrayLike) -> Array:
-    """Return the rotation matrix, shape (3, 3), whose first two columns are nearest to the six numbers given.
+    """Turn two columns into a rotation matrix, shape (3, 3), by Gram-Schmidt.
 
-    Gram-Schmidt: the first column keeps its direction, the second what of it is perpendicular, the third completes it.
+    The first column keeps its direction, the second keeps its part perpendicular to the first, and their cross product
+    is the third.
 
     Args:
         columns: First column, then second, of any positive length and not parallel, shape (6,).
 
     Raises:
-        ValueError: They span no plane, so that they mean no rotation.
+        ValueError: They span no plane, so that there is no such rotation.
     """
     x, second = np.asarray(columns, dtype=np.float64).reshape(2, 3)
     lengths = np.linalg.norm(x), np.linalg.norm(second)
     if not np.linalg.norm(np.cross(x, second)) > 1e-8 * lengths[0] * lengths[1]:
-        raise ValueError(f"Six numbers of a rotation are two columns, neither zero nor parallel; given {columns!r}.")
+        raise ValueError(
+            f"A rotation needs two columns of three numbers, neither zero nor parallel; given {columns!r}."
+        )
     x = x / lengths[0]
     y = second - (x @ second) * x
     y = y / np.linalg.norm(y)
@@ -146,6 +150,6 @@ def matrix_from_rotation_6d(columns: ArrayLike) -> Array:
 
 
 def rotation_z(angle: float) -> Array:
-    """Rotation about z by `angle` radians, shape (3, 3)."""
+    """Return the rotation about z by `angle` radians, shape (3, 3)."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))

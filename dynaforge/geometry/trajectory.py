@@ -1,4 +1,4 @@
-"""Joint states, and trajectories of them sampled at the control rate."""
+"""Joint states, and joint trajectories sampled at the control rate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynaforge.geometry.pose import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointState:
-    """Where the joints of the arm are and how they move.
+    """Positions, velocities and accelerations of the arm's joints.
 
     Attributes:
         q: Positions, radians, shape (7,).
@@ -28,7 +28,7 @@ class JointState:
 
     @staticmethod
     def at_rest(q: Array) -> JointState:
-        """Return the state of an arm that stands still at joint positions q, radians, shape (7,)."""
+        """Return the state of an arm at rest at joint positions q, radians, shape (7,)."""
         return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
