@@ -80,7 +80,8 @@ class Pack:
         Args:
             name: Name of an array.
             frame: Index of a frame, 0 to len - 1.
-            before, after: Frames on either side, at most 10000.
+            before: Frames before it, at most 10000.
+            after: Frames after it, likewise.
 
         Raises:
             KeyError: There is no such array.

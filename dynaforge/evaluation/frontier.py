@@ -63,7 +63,8 @@ def analyse_frontier(
     Args:
         successes: Successful rollouts of each update and stratum, shape (U, N).
         trials: Rollouts made, broadcastable to (U, N): K, or an array where the strata differ.
-        window, smoothing: Updates in the trailing windows, which are shorter at the start: w_u = min(window, u).
+        window: Updates in the trailing window over which outcomes are pooled; at the start, w_u = min(window, u).
+        smoothing: Updates in the trailing mean of the depth, likewise.
         confidence: Confidence of the two-sided Wilson interval.
 
     Raises:

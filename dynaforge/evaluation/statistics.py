@@ -27,7 +27,8 @@ def wilson_bounds(successes: ArrayLike, n: ArrayLike, *, confidence: float = 0.9
     Without trials the bounds are (0, 1), because nothing is known.
 
     Args:
-        successes, n: Counts of equal or broadcastable shape, 0 <= successes <= n.
+        successes: Counts, 0 <= successes <= n.
+        n: Numbers of trials, of equal or broadcastable shape.
         confidence: Two-sided confidence.
 
     Raises:
@@ -51,7 +52,8 @@ def wilson_interval(successes: int, n: int, *, confidence: float = 0.95) -> Inte
     """Return the Wilson score interval of one success rate; (0, 1) for n = 0.
 
     Args:
-        successes, n: Successes and trials.
+        successes: Number of successes.
+        n: Number of trials.
         confidence: Two-sided confidence.
 
     Raises:
@@ -92,7 +94,8 @@ def paired_difference(a: ArrayLike, b: ArrayLike, *, confidence: float = 0.95) -
     sound coverage where the Wald interval fails (few or no discordant pairs).
 
     Args:
-        a, b: Success of each generator on condition i, shape (n,).
+        a: Success of the first generator on each condition, shape (n,).
+        b: Success of the second one on the same conditions, shape (n,).
         confidence: Two-sided confidence of the interval.
 
     Raises:
@@ -235,8 +238,8 @@ def no_bin_worse(
     """Check that no difficulty bin is worse: none has the whole interval of its difference below minus the margin.
 
     Args:
-        before, after: Success on the same conditions, one row per bin, shape (8, 100) by the protocol; rows may
-            also differ in length.
+        before: Success by condition, one row per bin, shape (8, 100) by the protocol; rows may differ in length.
+        after: Success on the same conditions.
         margin: By how much a bin may be worse, as a rate; 10 points by default.
         confidence: Two-sided confidence of the intervals.
 

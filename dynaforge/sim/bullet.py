@@ -129,9 +129,11 @@ def free_link(
 
     Args:
         client: The physics client.
-        body, link: Which link.
+        body: Bullet's index of the body.
+        link: Bullet's index of the link.
         lateral_friction: Coulomb coefficient.
-        rolling_friction, spinning_friction: Torque arms, metres.
+        rolling_friction: Friction length against rolling, metres.
+        spinning_friction: Friction length against spinning, metres.
     """
     client.changeDynamics(
         body,
