@@ -92,8 +92,8 @@ def _rng(seed: int):
     [
         (None, "No task file"),
         ("TASK = 1", "must define TASK, a Task: TASK is 1"),
-        (BALL.replace("TASK =", "BALL ="), "must define TASK, a Task: call BALL so"),
-        ("", "must define TASK, a Task: it has none"),
+        (BALL.replace("TASK =", "BALL ="), "must define TASK, a Task: rename BALL to TASK"),
+        ("", "must define TASK, a Task: the file defines none"),
         ("class Odd(BaseException): pass\nraise Odd('a\\nb')", r"mine_\w+\.py, line 2: Odd: a b$"),
         ("from dynaforge.tasks.can import TASK", "is that of a task of the package"),
         ("import numpy\nTASK = (1,\n", r"mine_\w+\.py, line 2: '\(' was never closed\.$"),
@@ -119,7 +119,7 @@ def test_a_file_that_is_no_task_is_refused_in_one_line(
 
 def test_a_file_whose_name_cannot_be_imported_is_refused(folder: Path) -> None:
     (folder / "my.ball.py").write_text("")
-    with pytest.raises(ValueError, match=r"call it my_ball\.py"):
+    with pytest.raises(ValueError, match=r"rename it to my_ball\.py"):
         get_task("my.ball.py")
 
 

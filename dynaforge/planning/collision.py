@@ -85,7 +85,7 @@ class CollisionModel:
         obstacles = (*((table,) if table else ()), *fixtures)
         names = [obstacle.name for obstacle in obstacles]
         if len(set(names)) < len(names):
-            raise ValueError(f"Obstacles are named {names}; every name must occur once.")
+            raise ValueError(f"Obstacles are named {names}; every name must be unique.")
         self._model, self._geometry = _with_obstacles(robot, obstacles)
         self._data = self._model.createData()
         self._touching = pin.GeometryData(self._geometry)

@@ -106,7 +106,7 @@ class GlobalPlanner:
         try:
             self._brake_solver.calculate(given, trajectory)
         except ruckig.RuckigError as error:
-            raise PlanFailure("timing failed", f"no brake from dq {dq}, ddq {ddq}.") from error
+            raise PlanFailure("timing failed", f"there is no braking motion from dq {dq}, ddq {ddq}.") from error
         n = max(1, math.ceil(trajectory.duration / self.dt - 1e-9))
         samples = np.array([trajectory.at_time(k * self.dt) for k in range(n + 1)])  # (n + 1, 3, 7)
         samples[-1, 1:] = 0.0
@@ -118,7 +118,7 @@ class GlobalPlanner:
         )
         where = f"the end effector at {np.round(target.position, 3).tolist()} m"
         if not result.converged:
-            raise PlanFailure("unreachable", f"no configuration brings {where}.")
+            raise PlanFailure("unreachable", f"no configuration has {where}.")
         pair = self.collision.colliding_pair(result.q)
         if pair:
             raise PlanFailure("goal in collision", f"with {where}, {pair[0]} touches {pair[1]}.")
@@ -156,7 +156,7 @@ class GlobalPlanner:
             return [self._timed(Line(q, goal))]
         path = rrt_connect(q, goal, edge_free=edge_free, lower=self.robot.q_lower, upper=self.robot.q_upper, rng=rng)
         if path is None:
-            raise PlanFailure("no path", f"RRT-Connect found none to {np.round(goal, 3).tolist()} rad.")
+            raise PlanFailure("no path", f"RRT-Connect found no path to {np.round(goal, 3).tolist()} rad.")
         path = shortcut(path, edge_free=edge_free, rng=rng)
         return self._rounded(path, clear) or [self._timed(Line(a, b)) for a, b in pairwise(path)]
 

@@ -89,8 +89,8 @@ def suggestion(given: str, *, among: Iterable[str] = ()) -> str:
     stem = name.removeprefix("dynaforge/").removesuffix("-v0")
     files = [file for file in (f"{stem}.py", f"{stem.removesuffix('task')}.py") if Path(file).is_file()]
     if files:
-        return f"If you mean the task of {files[0]}, give that file in its place."
+        return f"If you mean the task in {files[0]}, give that file instead."
     close = difflib.get_close_matches(name, known, n=1)
     if close:
         return f"Did you mean {known[close[0]]!r}?"
-    return f"Known are {', '.join(ENV_NAMES)}, the ids of their envs, and files such as ball.py."
+    return f"Known tasks are {', '.join(ENV_NAMES)}; the ids of their envs and files such as ball.py work too."

@@ -72,7 +72,7 @@ class ActionLayout:
                 raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {quoted(value)}.")
         check_flag("elbow", self.elbow)
         if self.elbow and self.mode == "joint":
-            raise ValueError("Joint positions settle the elbow: elbow=True goes with action_mode 'ee' only.")
+            raise ValueError("Joint positions determine the elbow: elbow=True is for action_mode 'ee' only.")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -146,7 +146,7 @@ class ActionLayout:
         if self.rotation == "rotation_6d":
             return matrix_from_rotation_6d(numbers)
         if not np.abs(numbers).max() > 1e-6:
-            raise ValueError(f"A quaternion needs a length to mean a rotation; given {numbers.tolist()}.")
+            raise ValueError(f"A quaternion of length zero is not a rotation; got {numbers.tolist()}.")
         return matrix_from_quat(numbers)
 
     def _rotations(self, quats: Array) -> Array:

@@ -56,13 +56,15 @@ class ConditionSpace:
             check_name("ConditionSpace: a field of ranges", name)
             check_numbers(f"ConditionSpace: the range of {name!r}", ends, 2)
             if not ends[0] < ends[1]:
-                how = "empty; what never varies belongs into launch" if ends[0] == ends[1] else "reversed"
-                raise ValueError(f"ConditionSpace: the range {quoted(ends)} of {name!r}, (low, high), is {how}.")
+                problem = "empty; a value that never varies belongs in launch" if ends[0] == ends[1] else "reversed"
+                raise ValueError(f"ConditionSpace: the range {quoted(ends)} of {name!r}, (low, high), is {problem}.")
         if not self.ranges:
             raise ValueError("ConditionSpace: ranges is empty; at least the difficulty has one.")
         check_choice("ConditionSpace: difficulty", self.difficulty, self.ranges)
         if unknown := sorted(set(self.units) - set(self.ranges), key=str):
-            raise ValueError(f"Units are given for {unknown}, which are no fields; there are {sorted(self.ranges)}.")
+            raise ValueError(
+                f"Units are given for {unknown}, which are not fields; the fields are {sorted(self.ranges)}."
+            )
         for name, unit in self.units.items():
             check_text(f"ConditionSpace: the unit of {name!r} in units", unit)
         object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
@@ -163,8 +165,8 @@ class ConditionSpace:
 def check_shard(shard: tuple[int, int]) -> None:
     """Raise ValueError unless a shard is (i, n) with 0 <= i < n."""
     if not isinstance(shard, (tuple, list)) or len(shard) != 2:
-        raise ValueError(f"shard is {quoted(shard)}; it must be (i, n), of every n conditions the i-th.")
+        raise ValueError(f"shard is {quoted(shard)}; it must be (i, n): the i-th of every n conditions.")
     check_whole("shard: n", shard[1], least=1)
     check_whole("shard: i", shard[0], least=0)
     if shard[0] >= shard[1]:
-        raise ValueError(f"shard is {quoted(shard)}; of {shard[1]} shards the last is {shard[1] - 1}.")
+        raise ValueError(f"shard is {quoted(shard)}; the last of {shard[1]} shards is {shard[1] - 1}.")

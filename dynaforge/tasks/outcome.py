@@ -53,7 +53,7 @@ class Outcome:
         if self.checkpoint > n_checkpoints or self.success != (self.checkpoint == n_checkpoints):
             raise ValueError(
                 f"Outcome: success is {self.success} at checkpoint {self.checkpoint} of n_checkpoints={n_checkpoints}; "
-                "success is to have reached the last one."
+                "success means having reached the last one."
             )
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class Outcome:
         if self.success:
             return 1.0
         if self.n_checkpoints is None:
-            raise ValueError(f"The return of a failure needs n_checkpoints, which {self!r} does not know.")
+            raise ValueError(f"The return of a failure needs n_checkpoints, which {self!r} does not contain.")
         return self.checkpoint / self.n_checkpoints
 
     def to_dict(self) -> dict[str, Any]:

@@ -143,7 +143,9 @@ class Task:
         if tuple(self.camera[0][:2]) == tuple(self.camera[1][:2]):
             raise ValueError(f"{place}: the camera looks straight up or down, or at itself; move its eye aside.")
         if self.conditions.task != self.name:
-            raise ValueError(f"{place}: its conditions are those of task {self.conditions.task!r}; give both one name.")
+            raise ValueError(
+                f"{place}: its conditions are those of task {self.conditions.task!r}; give both the same name."
+            )
 
     def _check_program(self, place: str) -> None:
         if not self.phases:
@@ -153,8 +155,7 @@ class Task:
             raise ValueError(f"{place}: two phases are called {twice[0]!r}; every phase has its own name.")
         if not any(phase.gate for phase in self.phases):
             raise ValueError(
-                f"{place}: no phase has gate=True, so a residual could act nowhere; "
-                "open the gate where the hand tracks."
+                f"{place}: no phase has gate=True, so a residual could never act; open the gate where the hand tracks."
             )
         dt = self.scene.control_dt
         for phase in self.phases:

@@ -43,9 +43,9 @@ def _task_in(module: ModuleType, path: Path) -> Task:
         if task is not None:
             problem = f"TASK is {quoted(task)}"
         elif others:
-            problem = f"call {others[0]} so"
+            problem = f"rename {others[0]} to TASK"
         else:
-            problem = "it has none"
+            problem = "the file defines none"
         raise ValueError(f"{path} must define TASK, a Task: {problem}.")
     return task
 
@@ -70,7 +70,7 @@ def register_listed_files() -> None:
         try:
             task_of_file(path)
         except ValueError as error:
-            warnings.warn(f"{VARIABLE} lists a file that is no task: {error}", stacklevel=2)
+            warnings.warn(f"{VARIABLE} lists a file that is not a task file: {error}", stacklevel=2)
 
 
 def _register(task: Task, path: Path) -> None:

@@ -17,10 +17,11 @@ def module_of_file(path: Path) -> ModuleType:
     """
     if "." in path.stem:
         raise ValueError(
-            f"{path}: Python imports no file with a dot in its name; call it {path.stem.replace('.', '_')}.py."
+            f"{path}: Python cannot import a file with a dot in its name; "
+            f"rename it to {path.stem.replace('.', '_')}.py."
         )
     if (known := sys.modules.get(path.stem)) is not None and getattr(known, "__file__", None) != str(path):
-        raise ValueError(f"{path.name}: a module {path.stem!r} exists already; give the file another name.")
+        raise ValueError(f"{path.name}: a module {path.stem!r} already exists; give the file another name.")
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     try:

@@ -34,7 +34,7 @@ def evaluate_predicate(place: str, role: str, predicate: Callable[..., Any], vie
     try:
         value = predicate(view, target)
         if not isinstance(value, (bool, np.bool_)):
-            raise TypeError(f"it says {quoted(value)}, neither True nor False")
+            raise TypeError(f"it returns {quoted(value)}, neither True nor False")
     except Exception as error:  # user code may raise anything
         raise ValueError(_error_message(place, role, predicate, view, error)) from error
     return bool(value)
@@ -54,7 +54,7 @@ def evaluate_target(place: str, target: Callable[..., Any], view: PhaseView) -> 
     try:
         pose = target(view)
         if not isinstance(pose, Pose):
-            raise TypeError(f"it returns {quoted(pose)}, no Pose")
+            raise TypeError(f"it returns {quoted(pose)}, which is not a Pose")
         if not math.isfinite(np.vdot(pose.position, pose.position) + np.vdot(pose.rotation, pose.rotation)):
             raise ValueError(f"it returns {quoted(pose)}, which is not finite")
     except Exception as error:  # user code may raise anything
@@ -66,11 +66,11 @@ def _error_message(place: str, role: str, word: object, view: PhaseView, error: 
     state = view.state
     key = error.args[0] if isinstance(error, KeyError) and error.args else None
     if isinstance(key, str) and key not in state.objects:
-        return unknown_name_message(place, f"speaks of {key!r} in {role}, {quoted(word)}", key, state.objects)
+        return unknown_name_message(place, f"names {key!r} in {role}, {quoted(word)}", key, state.objects)
     if isinstance(key, str):
         return (
-            f"{place}: {role}, {quoted(word)}, asks of {key!r} what is not measured of it: on_table is of free bodies "
-            f"({_listed(state.on_table)}), pressed of fixtures with a spring ({_listed(state.pressed)})."
+            f"{place}: {role}, {quoted(word)}, reads what is not measured of {key!r}: on_table is measured of free "
+            f"bodies ({_listed(state.on_table)}), pressed of fixtures with a spring ({_listed(state.pressed)})."
         )
     return f"{place}: {role}, {quoted(word)}, raised {type(error).__name__}: {error}."
 
@@ -108,7 +108,7 @@ def check_word(place: str, role: str, word: object, names: tuple[str, ...]) -> N
             value = getattr(part, field.name)
             _check_value(f"{place}: {role}, {type(part).__name__}: {field.name}", field, value)
             if (_annotation(field) == "ObjectName" or field.name == "object") and value not in names:
-                clause = f"speaks of {quoted(value)} in {role}, {quoted(part)}"
+                clause = f"names {quoted(value)} in {role}, {quoted(part)}"
                 raise ValueError(unknown_name_message(place, clause, value, names))
 
 

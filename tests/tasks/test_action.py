@@ -70,7 +70,7 @@ def test_quaternions_keep_their_sign_through_a_recording() -> None:
     [
         (("joints",), "action_mode must be one of 'ee', 'joint'; got 'joints'"),
         (("ee", "euler"), "rotation must be one of 'quat_wxyz', 'rotvec', 'rotation_6d'; got 'euler'"),
-        (("joint", "quat_wxyz", True), "Joint positions settle the elbow"),
+        (("joint", "quat_wxyz", True), "Joint positions determine the elbow"),
     ],
 )
 def test_a_layout_that_makes_no_sense_is_named(arguments: tuple, words: str) -> None:

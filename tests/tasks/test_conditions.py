@@ -126,7 +126,7 @@ def test_a_condition_space_survives_pickling(space: ConditionSpace) -> None:
 def test_units_are_those_of_fields_and_travel_along() -> None:
     space = ConditionSpace("toy", "speed", {"speed": (0.0, 8.0)}, units={"speed": "m/s"})
     assert pickle.loads(pickle.dumps(space)).units == {"speed": "m/s"}
-    with pytest.raises(ValueError, match=r"Units are given for \['sped'\].*there are \['speed'\]"):
+    with pytest.raises(ValueError, match=r"Units are given for \['sped'\].*the fields are \['speed'\]"):
         replace(space, units={"sped": "m/s"})
 
 

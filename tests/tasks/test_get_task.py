@@ -41,11 +41,11 @@ def test_a_file_its_name_and_its_ids_are_one_task(ball: Path) -> None:
         ("cann", "No task 'cann'. Did you mean 'can'?"),
         ("DynaForge/Cann-v0", "Did you mean 'DynaForge/Can-v0'?"),
         ("dynaforge:DynaForge/PaechTask-v0", "Did you mean 'DynaForge/PeachTask-v0'?"),
-        ("zebra", "Known are can, bottle"),
+        ("zebra", "Known tasks are can, bottle"),
         ("bal.py", "Did you mean 'ball.py'?"),
         ("peach.py", "Did you mean 'peach'?"),
-        ("ball", "If you mean the task of ball.py, give that file in its place."),
-        ("DynaForge/BallTask-v0", "If you mean the task of ball.py, give that file in its place."),
+        ("ball", "If you mean the task in ball.py, give that file instead."),
+        ("DynaForge/BallTask-v0", "If you mean the task in ball.py, give that file instead."),
     ],
 )
 def test_what_is_no_task_is_answered_with_what_may_have_been_meant(
@@ -86,4 +86,4 @@ def test_a_listed_file_that_is_no_task_breaks_no_import(ball: Path, monkeypatch:
     monkeypatch.setenv("DYNAFORGE_TASKS", "gone.py")
     done = subprocess.run([sys.executable, "-c", "import dynaforge"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0
-    assert "DYNAFORGE_TASKS lists a file that is no task" in done.stderr
+    assert "DYNAFORGE_TASKS lists a file that is not a task file" in done.stderr

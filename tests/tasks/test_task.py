@@ -28,7 +28,7 @@ def test_a_misspelt_task_is_refused_with_the_close_match() -> None:
 
 
 def test_an_unknown_task_is_refused_with_all_names() -> None:
-    with pytest.raises(ValueError, match=r"No task 'zebra'\. Known are can"):
+    with pytest.raises(ValueError, match=r"No task 'zebra'\. Known tasks are can"):
         get_task("zebra")
 
 

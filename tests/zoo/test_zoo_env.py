@@ -57,7 +57,7 @@ def test_a_package_that_is_a_task_file_registers_its_envs(
 
 def test_an_unnamed_file_of_a_task_is_offered_and_not_run(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ball.parent)
-    assert "give that file in its place" in run("train", "--algo", "ppo", "--env", "DynaForge/Ball-v0")
+    assert "give that file instead" in run("train", "--algo", "ppo", "--env", "DynaForge/Ball-v0")
     assert "ball" not in sys.modules
 
 

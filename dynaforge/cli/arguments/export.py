@@ -85,7 +85,7 @@ def check(options: argparse.Namespace) -> None:
     if options.actions == "joint" and options.rotation != "quat_wxyz":
         raise ValueError(f"--rotation {options.rotation} belongs to --actions ee; joint positions have no rotation.")
     if options.actions == "joint" and options.no_elbow:
-        raise ValueError("--no-elbow belongs to --actions ee; joint positions settle the elbow.")
+        raise ValueError("--no-elbow belongs to --actions ee; joint positions determine the elbow.")
 
 
 def default_folder(options: argparse.Namespace) -> Path:
