@@ -99,5 +99,5 @@ def test_malformed_obstacles_are_refused_by_name(shape: str, size: tuple[float, 
 
 
 def test_two_obstacles_of_one_name_are_refused(robot: RobotDescription) -> None:
-    with pytest.raises(ValueError, match="once"):
+    with pytest.raises(ValueError, match="unique"):
         CollisionModel(robot, fixtures=[Obstacle("table", "sphere", (0.1,), at(0.5, 0, 1.0))])
