@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dynaforge.sampling.processes import begin_worker
 
-# What a step did to an env, one byte an env in the shared array "status".
+# What a step did to an env, one byte per env, in the shared array "status".
 STEPPED, TRUNCATED, IDLE, STARTED = range(4)
 # Commands without arguments; every other command is a pickled tuple (name, *arguments).
 STEP, CLOSE = b"step", b"close"

@@ -14,7 +14,7 @@ from dynaforge.generators import Goal, LearnerGenerator, ResidualGenerator, coll
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import get_task
 
-SCRIPT = Path(__file__).parents[2] / "results" / "small_imitator.py"
+SCRIPT = Path(__file__).parents[1] / "results" / "small_imitator.py"
 pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason="results are not part of a source distribution")
 
 
