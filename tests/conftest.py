@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "add_a_task.md"
 
 @pytest.fixture
 def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Write the task file that docs/add_a_task.md shows; tasks of one's own are forgotten afterwards."""
+    """Write the task file that docs/add_a_task.md shows; user-defined tasks are forgotten afterwards."""
     page = PAGE.read_text()
     for name, language, between in (("ball.urdf", "xml", "\n"), ("ball.py", "python", "\n\n")):
         blocks = re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
@@ -30,7 +30,7 @@ def ball(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture
 def forget_tasks() -> Callable[[], None]:
-    """Return what lets this process know no task of one's own, as if it had just started."""
+    """Return what makes this process forget user-defined tasks, as if it had just started."""
     return _forget_tasks
 
 

@@ -1,4 +1,4 @@
-"""rl_zoo3's scripts on tasks of one's own, and on folders of strangers."""
+"""rl_zoo3's scripts on user-defined tasks, and on folders of strangers."""
 
 from __future__ import annotations
 
