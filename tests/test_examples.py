@@ -17,8 +17,13 @@ from dynaforge.cli.main import main
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
 FIRST_STEPS = {
-    "watch_the_planner", "train", "compare_with_ppo", "collect_and_look", "train_an_imitator", "task_of_your_own",
-}  # fmt: skip
+    "watch_the_planner",
+    "train",
+    "compare_with_ppo",
+    "collect_and_look",
+    "train_an_imitator",
+    "task_of_your_own",
+}
 Run = Callable[[str], str]
 
 

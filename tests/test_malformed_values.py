@@ -43,12 +43,36 @@ STILL = np.zeros(3)
 POLICY = ConstantResidual(np.zeros(5, np.float32))
 
 MALFORMED: dict[str, Any] = {
-    "None": None, "empty text": "", "text": "1", "line break": "x\ny", "path": "../x", "bytes": b"x", "zero": 0,
-    "-1": -1, "fraction": 2.5, "nan": float("nan"), "inf": float("inf"), "-inf": float("-inf"), "huge": 1e308,
-    "long": 10**400, "very long": 10**5000, "True": True, "complex": 1j, "list": [], "dict": {}, "tuple": (),
-    "pair": (1, 2), "object": object(), "odd dict": {3: None}, "odd list": [None], "class": dict, "function": len,
-    "nan array": np.array([float("nan")] * 3), "matrix": np.zeros((2, 2)), "path object": Path("x"),
-}  # fmt: skip
+    "None": None,
+    "empty text": "",
+    "text": "1",
+    "line break": "x\ny",
+    "path": "../x",
+    "bytes": b"x",
+    "zero": 0,
+    "-1": -1,
+    "fraction": 2.5,
+    "nan": float("nan"),
+    "inf": float("inf"),
+    "-inf": float("-inf"),
+    "huge": 1e308,
+    "long": 10**400,
+    "very long": 10**5000,
+    "True": True,
+    "complex": 1j,
+    "list": [],
+    "dict": {},
+    "tuple": (),
+    "pair": (1, 2),
+    "object": object(),
+    "odd dict": {3: None},
+    "odd list": [None],
+    "class": dict,
+    "function": len,
+    "nan array": np.array([float("nan")] * 3),
+    "matrix": np.zeros((2, 2)),
+    "path object": Path("x"),
+}
 
 
 def of(thing: Any) -> dict[str, Any]:

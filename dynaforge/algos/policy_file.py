@@ -48,9 +48,13 @@ class MlpPolicyFile:
     """
 
     def __init__(
-        self, layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]], activation: str, *, task: str,
+        self,
+        layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+        activation: str,
+        *,
+        task: str,
         meta: Mapping[str, Any] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if activation not in _ACTIVATIONS:
             raise ValueError(f"Activation {activation!r} is not supported; known are {', '.join(_ACTIVATIONS)}.")
         self._layers = layers

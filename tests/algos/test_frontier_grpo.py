@@ -57,9 +57,16 @@ def test_a_toy_is_learned(variant):
 @pytest.mark.slow
 def test_cartpole_improves_with_equal_seeds_as_conditions():
     model = FrontierGRPO(
-        "MlpPolicy", DummyVecEnv([lambda: Monitor(gym.make("CartPole-v1"))] * 16), learning_rate=3e-3, n_groups=4,
-        group_size=8, group_filter="mixed_return", seed=0, device="cpu", policy_kwargs={"net_arch": [32]},
-    )  # fmt: skip
+        "MlpPolicy",
+        DummyVecEnv([lambda: Monitor(gym.make("CartPole-v1"))] * 16),
+        learning_rate=3e-3,
+        n_groups=4,
+        group_size=8,
+        group_filter="mixed_return",
+        seed=0,
+        device="cpu",
+        policy_kwargs={"net_arch": [32]},
+    )
     model.learn(25_000)
     assert evaluate_policy(model, Monitor(gym.make("CartPole-v1")), n_eval_episodes=10)[0] > 100.0
 

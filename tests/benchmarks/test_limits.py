@@ -28,8 +28,10 @@ def test_the_global_planner_is_checked_in_episodes_and_to_random_goals():
     (figure,) = bench_limits.global_planner(CAN, n=3)
     assert figure.ok, figure
     assert {name: part["outside"] for name, part in figure.raw.items()} == {
-        "episodes": 0, "bare table": 0, "furnished table": 0,
-    }  # fmt: skip
+        "episodes": 0,
+        "bare table": 0,
+        "furnished table": 0,
+    }
     assert figure.raw["episodes"]["trajectories"] >= 3
 
 

@@ -28,7 +28,7 @@ BY_FUNCTION = {
     numbers.minutes: ("", "soon", "0", "0s", "-1m", "nan", "inf", "1e400h", "٣m", "1_0m", "5d", "m"),
     tasks.task: ("", "cann", "gone.py", "broken.py", "a folder", "DynaForge/X-v0", "a\nb", "a\0b", "x" * 5000),
     tasks.task_or_all: ("", "cann", "gone.py", "broken.py", "alle", "a\nb"),
-}  # fmt: skip
+}
 
 
 def nonsense(kind: object) -> tuple[str, ...]:
@@ -108,17 +108,29 @@ def test_nonsense_is_refused_in_one_line_that_names_the_option(
 
 def test_options_that_contradict_each_other_are_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for line, name in (
-        ("evaluate --generator oracle oracle", "--generator"), ("evaluate --task can CAN", "can"),
-        ("evaluate --policy data/thesis.txt", "--policy"), ("evaluate --sigma 1", "--sigma"),
-        ("evaluate --oracle-tries 3", "--oracle-tries"), ("render demonstrations --no-images", "--no-images"),
+        ("evaluate --generator oracle oracle", "--generator"),
+        ("evaluate --task can CAN", "can"),
+        ("evaluate --policy data/thesis.txt", "--policy"),
+        ("evaluate --sigma 1", "--sigma"),
+        ("evaluate --oracle-tries 3", "--oracle-tries"),
+        ("render demonstrations --no-images", "--no-images"),
         ("collect --generator planner_only --policy data/thesis.txt", "--policy"),
-        ("render demonstrations --workspace 0 0 0 1 0 1", "--workspace"), ("list can", "can"),
-        ("render demonstrations --cameras front front", "--cameras"), ("collect --demoz 3", "--demos"),
-        ("forge --budget 3s", "--budget"), ("compare --vary 1x 2", "--vary"), ("compare --vary gamma 1 1", "--vary"),
-        ("verify demonstrations --task-file bottle", "--task-file"), ("list --all", "--all"),
-        ("collect --task peach --out demonstrations", "--out"), ("evaluate --out .", "--out"),
-        ("export demonstrations", "--format"), ("info", "folder"), ("--version of", "--version"), ("colect", "collect"),
-    ):  # fmt: skip
+        ("render demonstrations --workspace 0 0 0 1 0 1", "--workspace"),
+        ("list can", "can"),
+        ("render demonstrations --cameras front front", "--cameras"),
+        ("collect --demoz 3", "--demos"),
+        ("forge --budget 3s", "--budget"),
+        ("compare --vary 1x 2", "--vary"),
+        ("compare --vary gamma 1 1", "--vary"),
+        ("verify demonstrations --task-file bottle", "--task-file"),
+        ("list --all", "--all"),
+        ("collect --task peach --out demonstrations", "--out"),
+        ("evaluate --out .", "--out"),
+        ("export demonstrations", "--format"),
+        ("info", "folder"),
+        ("--version of", "--version"),
+        ("colect", "collect"),
+    ):
         before = sorted(place.rglob("*"))
         assert main(line.split()) == 2, line
         said = capsys.readouterr().err

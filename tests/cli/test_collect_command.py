@@ -58,8 +58,11 @@ def test_sigterm_ends_as_ctrl_c_does(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "dynaforge", "collect", "--generator", "planner_only", "--attempts", "5000"]
     process = subprocess.Popen(
         [*command, "--workers", "1", "--out", str(tmp_path / "data")],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
     ledger = tmp_path / "data" / "ledger.jsonl"
     deadline = time.monotonic() + 60
     while not (ledger.is_file() and ledger.stat().st_size) and time.monotonic() < deadline:

@@ -16,15 +16,26 @@ import pytest
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.verification import verify
 
-COMMAND = (sys.executable, "-m", "dynaforge", "collect", "--task", "can", "--generator", "planner_only",
-           "--keep-failures")  # fmt: skip
+COMMAND = (
+    sys.executable,
+    "-m",
+    "dynaforge",
+    "collect",
+    "--task",
+    "can",
+    "--generator",
+    "planner_only",
+    "--keep-failures",
+)
 
 
 def start(folder: Path, attempts: int, *more: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [*COMMAND, "--attempts", str(attempts), "--out", str(folder), *more],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 class Recording(NamedTuple):

@@ -42,9 +42,10 @@ def test_the_matrix_goes_seed_by_seed(tmp_path: Path) -> None:
     asked = options("--task", "can", "peach", "--algos", "ppo", "strata", "--train-seeds", "2", "--out", str(tmp_path))
     specs = compare.matrix(asked)
     assert [(s.task, s.variant, s.seed) for s in specs] == [
-        ("can", "planner_only", 0), ("peach", "planner_only", 0),
+        ("can", "planner_only", 0),
+        ("peach", "planner_only", 0),
         *((task, arm, seed) for seed in range(2) for task in ("can", "peach") for arm in ("ppo", "strata")),
-    ]  # fmt: skip
+    ]
     assert len({s.folder for s in specs}) == len(specs)
     assert specs[3].algo == "grpo"
     assert specs[3].changes == {"stratified": True}

@@ -169,9 +169,13 @@ def test_forge_builds_the_model_that_train_builds(tmp_path: Path) -> None:
 
     register_with_zoo()
     manager = exp_manager.ExperimentManager(
-        argparse.Namespace(), "frontier_grpo", "DynaForge/Can-v0", str(tmp_path),
-        config=str(config_file("frontier_grpo", "DynaForge/Can-v0")), verbose=0,
-    )  # fmt: skip
+        argparse.Namespace(),
+        "frontier_grpo",
+        "DynaForge/Can-v0",
+        str(tmp_path),
+        config=str(config_file("frontier_grpo", "DynaForge/Can-v0")),
+        verbose=0,
+    )
     zoo, _ = manager.read_hyperparameters()
     zoo, _, _, _ = manager._preprocess_hyperparams(zoo)
     env = ResidualEnv("can")

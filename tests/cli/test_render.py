@@ -59,7 +59,15 @@ def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     "text",
     [
-        "", "{", "{}", "[]", "[3]", '{"name": "top"}', '[{"name": "top"}]', "[" * 10_000, "\xff",
+        "",
+        "{",
+        "{}",
+        "[]",
+        "[3]",
+        '{"name": "top"}',
+        '[{"name": "top"}]',
+        "[" * 10_000,
+        "\xff",
         '[{"name": "top", "eye": ["x", 0, 1], "look_at": [0, 0, 0]}]',
         '[{"name": "top", "eye": [NaN, 0, 1], "look_at": [0, 0, 0]}]',
         '[{"name": "top", "eye": [0, 0, 1], "look_at": [0, 0, 1]}]',
@@ -69,7 +77,7 @@ def test_cameras_of_ones_own(data: Path, tmp_path: Path, capsys: pytest.CaptureF
         '[{"name": "other", "eye": [1, 0, 1], "look_at": [0, 0, 0]}]',
         json.dumps(2 * [{"name": "a", "eye": [1, 0, 1], "look_at": [0, 0, 0]}]),
     ],
-)  # fmt: skip
+)
 def test_cameras_that_are_none_are_refused_and_leave_no_folder(
     data: Path, tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,9 +95,12 @@ def test_what_cannot_be_written_ends_it_at_once(data: Path, tmp_path: Path) -> N
     """Stands for a full disk: no file may be longer than 40 kB."""
     command = ["render", str(data), "--out", str(tmp_path / "seen"), "--workers", "1"]
     done = subprocess.run(
-        [sys.executable, "-m", "dynaforge", *command], capture_output=True, text=True, check=False,
+        [sys.executable, "-m", "dynaforge", *command],
+        capture_output=True,
+        text=True,
+        check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000)),
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     assert f"File too large: '{tmp_path / 'seen'}" in done.stderr
     assert [path.name for path in (tmp_path / "seen").iterdir()] == ["settings.json"]
@@ -104,8 +115,10 @@ def test_killed_at_random_instants_it_ends_with_the_same_files(data: Path, tmp_p
         command = ["render", str(data), "--out", str(out), "--cameras", "front", "--points", "64"]
         return subprocess.Popen(
             [sys.executable, "-m", "dynaforge", *command],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
 
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     for _ in range(20):

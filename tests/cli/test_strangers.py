@@ -52,9 +52,13 @@ class Trap:
     "task", ["evil", "evil.py", "./evil.py", "ABSOLUTE", "../data/evil.py", "dynaforge.cli", "Can"]
 )
 def test_a_dataset_makes_nothing_be_imported(
-    tmp_path: Path, canary: Path, command: list[str], task: str, capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    canary: Path,
+    command: list[str],
+    task: str,
+    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     folder = dataset(tmp_path / "data", str(tmp_path / "data" / "evil.py") if task == "ABSOLUTE" else task)
     (folder / "evil.py").write_text(Trap(canary).text)
     monkeypatch.chdir(folder)
@@ -186,15 +190,38 @@ def test_policies_and_packs_are_no_pickles(tmp_path: Path, canary: Path) -> None
 # and what a user names on the command line to be run.
 OWN_WORKERS = {"sampling/vector_pool.py", "sampling/vector_worker.py", "sampling/processes.py"}
 WRITTEN_HERE = {
-    "benchmarks/suite.py", "cli/main.py", "zoo/scripts.py", "demos/exporters/__init__.py", "planning/lazy_pyplot.py",
-    "__init__.py", "generators/__init__.py", "reports/extras.py", "tasks/__init__.py",
-}  # fmt: skip
+    "benchmarks/suite.py",
+    "cli/main.py",
+    "zoo/scripts.py",
+    "demos/exporters/__init__.py",
+    "planning/lazy_pyplot.py",
+    "__init__.py",
+    "generators/__init__.py",
+    "reports/extras.py",
+    "tasks/__init__.py",
+}
 NAMED_BY_USERS = {"zoo/envs.py", "generators/learner.py", "tasks/user_code.py"}
 RUNS_CODE = {
-    "pickle.load", "pickle.loads", "Unpickler", "cloudpickle.load", "cloudpickle.loads", "th.load", "torch.load",
-    "exec", "eval", "yaml.load", "yaml.full_load", "yaml.unsafe_load", "import_module", "importlib.import_module",
-    "__import__", "builtins.__import__", "runpy.run_module", "runpy.run_path", "VecNormalize.load",
-}  # fmt: skip
+    "pickle.load",
+    "pickle.loads",
+    "Unpickler",
+    "cloudpickle.load",
+    "cloudpickle.loads",
+    "th.load",
+    "torch.load",
+    "exec",
+    "eval",
+    "yaml.load",
+    "yaml.full_load",
+    "yaml.unsafe_load",
+    "import_module",
+    "importlib.import_module",
+    "__import__",
+    "builtins.__import__",
+    "runpy.run_module",
+    "runpy.run_path",
+    "VecNormalize.load",
+}
 
 
 def test_no_other_part_of_the_package_runs_what_it_reads() -> None:

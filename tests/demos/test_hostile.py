@@ -189,13 +189,25 @@ def test_a_sealed_file_with_hostile_content_is_a_finding(dataset: DemonstrationD
 @pytest.mark.parametrize(
     "change",
     [
-        {"success": "yes"}, {"checkpoint": "4"}, {"checkpoint": None}, {"failure": None}, {"phase": 3}, {"more": 1},
-        {"duration": "long"}, {"generator": 3}, {"generator": "../x"}, {"condition": 3}, {"condition": {}}, {"meta": 3},
-        {"meta": {"phases": 3}}, {"meta": {"versions": [1]}}, {"meta": {"state_digests": 3}},
+        {"success": "yes"},
+        {"checkpoint": "4"},
+        {"checkpoint": None},
+        {"failure": None},
+        {"phase": 3},
+        {"more": 1},
+        {"duration": "long"},
+        {"generator": 3},
+        {"generator": "../x"},
+        {"condition": 3},
+        {"condition": {}},
+        {"meta": 3},
+        {"meta": {"phases": 3}},
+        {"meta": {"versions": [1]}},
+        {"meta": {"state_digests": 3}},
         {"meta": {"contact_time": "x"}},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_header_of_other_types_is_a_finding(dataset: DemonstrationDataset, change: dict[str, object]) -> None:
     path = dataset.file_of(make_episode(0).id)
     header = json.dumps(make_episode(0).header() | change)

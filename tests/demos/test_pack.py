@@ -23,11 +23,22 @@ def frames(k: int, n: int, *, points: bool = True) -> Frames:
     robot = {"ee_position": label, "ee_quat_wxyz": label, "width": label, "q": label, "dq": label}
     cloud = np.repeat(label[:, None], 3, axis=2) if points else None
     return Frames(
-        fps=30, robot=robot, objects={}, privileged=False, actions=label,
-        layout=ActionLayout("joint"), rewards=label[:, 0], phase=np.full(n, k), gate=np.ones(n, dtype=bool),
-        contact=np.zeros((n, 2), dtype=bool), images={}, depths={}, points=cloud, point_colors=None,
+        fps=30,
+        robot=robot,
+        objects={},
+        privileged=False,
+        actions=label,
+        layout=ActionLayout("joint"),
+        rewards=label[:, 0],
+        phase=np.full(n, k),
+        gate=np.ones(n, dtype=bool),
+        contact=np.zeros((n, 2), dtype=bool),
+        images={},
+        depths={},
+        points=cloud,
+        point_colors=None,
         episode=make_episode(k),
-    )  # fmt: skip
+    )
 
 
 def test_windows_stay_within_their_episode(tmp_path: Path) -> None:

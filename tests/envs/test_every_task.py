@@ -38,8 +38,11 @@ def elsewhere() -> dict[str, str]:
     """The digest of one episode of every task, made in another process."""
     done = subprocess.run(
         [sys.executable, "-c", IN_ANOTHER_PROCESS, str(Path(__file__).parent)],
-        capture_output=True, text=True, timeout=100, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+    )
     return dict(zip(TASK_NAMES, done.stdout.split(), strict=True))
 
 

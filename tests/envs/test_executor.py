@@ -59,9 +59,16 @@ class FakePlanner:
 
 def phase(name: str, done, mode: Mode = Mode.IK, *, hold: float = 0.0, timeout: float = 1.0, **more) -> Phase:
     return Phase(
-        name, mode, Above("can", 0.0), width=0.08, done=done, timeout=timeout, failure=f"{name} took too long",
-        hold=hold, **more,
-    )  # fmt: skip
+        name,
+        mode,
+        Above("can", 0.0),
+        width=0.08,
+        done=done,
+        timeout=timeout,
+        failure=f"{name} took too long",
+        hold=hold,
+        **more,
+    )
 
 
 def program(*phases: Phase) -> Task:

@@ -80,11 +80,15 @@ def test_a_success_of_those_under_way_turns_back_from_giving_up(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("goal", "failures", "should_give_up"),
     [
-        (Goal(1, None), 49, False), (Goal(1, None), 50, True), (Goal(10, None), 199, False),
-        (Goal(10, None), 200, True), (Goal(None, 10**6), 10**5, False), (Goal(None, 100, 7), 7, True),
+        (Goal(1, None), 49, False),
+        (Goal(1, None), 50, True),
+        (Goal(10, None), 199, False),
+        (Goal(10, None), 200, True),
+        (Goal(None, 10**6), 10**5, False),
+        (Goal(None, 100, 7), 7, True),
         (Goal(1, None, 0), 10**9, False),
     ],
-)  # fmt: skip
+)
 def test_hope_ends_after_twenty_failures_a_demonstration(goal: Goal, failures: int, should_give_up: bool) -> None:
     assert goal.should_give_up(failures) is should_give_up
 

@@ -13,9 +13,17 @@ from pathlib import Path
 from typing import Any
 
 PROGRAM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
-OPTIONS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-           "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage",
-           "--remote-debugging-pipe")  # fmt: skip
+OPTIONS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--remote-debugging-pipe",
+)
 SECONDS = 30.0  # for any answer, on a busy machine
 
 
@@ -33,9 +41,11 @@ class Chromium:
         assert PROGRAM is not None
         quiet = [(os.POSIX_SPAWN_OPEN, k, os.devnull, os.O_WRONLY, 0) for k in (1, 2)]
         self._process = os.posix_spawn(
-            PROGRAM, [PROGRAM, *OPTIONS, f"--user-data-dir={profile}", "about:blank"], os.environ,
+            PROGRAM,
+            [PROGRAM, *OPTIONS, f"--user-data-dir={profile}", "about:blank"],
+            os.environ,
             file_actions=[(os.POSIX_SPAWN_DUP2, end, k) for end, k in zip(ends, (3, 4), strict=True)] + quiet,
-        )  # fmt: skip
+        )
         for end in (*ends, commands, answers):
             os.close(end)
         self._rest, self._number, self._session = b"", 0, ""

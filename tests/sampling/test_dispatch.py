@@ -93,8 +93,11 @@ def test_every_job_runs_once_as_a_whole_whatever_the_envs(vec_env):
 def test_long_episodes_end_at_the_cap_whatever_the_envs(vec_env):
     episodes, _ = run(EpisodeDispatcher(vec_env, max_episode_steps=3), jobs([5, 2, 3, 4]))
     assert {i: (e.length, e.capped) for i, e in episodes.items()} == {
-        0: (3, True), 1: (2, False), 2: (3, False), 3: (3, True),
-    }  # fmt: skip
+        0: (3, True),
+        1: (2, False),
+        2: (3, False),
+        3: (3, True),
+    }
     assert episodes[0].info["TimeLimit.truncated"]
 
 

@@ -76,7 +76,7 @@ def test_the_cores_are_those_of_the_affinity(machine: Path) -> None:
         ("3:cpuset:/\n2:cpu:/docker/ab\n0::/", {"cpu/cpu.cfs_quota_us": "50000", "cpu/cpu.cfs_period_us": "25000"}, 2),
         ("0::/", {"cpu.max": "nonsense"}, 16),
     ],
-)  # fmt: skip
+)
 def test_a_quota_of_the_cgroup_counts(groups: str, limits: dict[str, str], cores: int, machine: Path) -> None:
     write(machine, "proc/self/cgroup", groups + "\n")
     for name, text in limits.items():

@@ -46,9 +46,15 @@ def test_robomimic(episodes: list[Frames], tmp_path: Path) -> None:
     assert exporter("robomimic")(tmp_path, CAN, episodes) == 3
     keys = ("ee_position", "privileged_can_position", "front_image")
     reader = dataset.SequenceDataset(
-        str(tmp_path / "demos.hdf5"), obs_keys=keys, dataset_keys=("actions", "rewards", "dones"), seq_length=4,
-        frame_stack=2, load_next_obs=False, filter_by_attribute="train", hdf5_cache_mode=None,
-    )  # fmt: skip
+        str(tmp_path / "demos.hdf5"),
+        obs_keys=keys,
+        dataset_keys=("actions", "rewards", "dones"),
+        seq_length=4,
+        frame_stack=2,
+        load_next_obs=False,
+        filter_by_attribute="train",
+        hdf5_cache_mode=None,
+    )
     assert len(reader) == sum(map(len, episodes[:2])), "the last one is for validation"
     first = reader[5]
     np.testing.assert_allclose(
@@ -73,9 +79,11 @@ def test_robomimic_as_its_offline_learners_read_it_by_default(episodes: list[Fra
     keys = ("ee_position", "privileged_can_position", "front_image", "front_depth", "points")
     for split in (None, "train", "valid"):
         reader = dataset.SequenceDataset(
-            str(tmp_path / "demos.hdf5"), obs_keys=keys, dataset_keys=("actions", "dones", "phase", "gate", "contact"),
+            str(tmp_path / "demos.hdf5"),
+            obs_keys=keys,
+            dataset_keys=("actions", "dones", "phase", "gate", "contact"),
             filter_by_attribute=split,
-        )  # fmt: skip
+        )
         assert len(reader) == len(episodes[0])
         first, last = reader[3], reader[len(reader) - 1]
         after = reader[4]
