@@ -151,7 +151,13 @@ class RecordingPlanner(GlobalPlanner):
         self.kept: list[JointTrajectory] = []
 
     def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
-        """Plan as a global planner does, and keep the trajectory."""
+        """Plan as a global planner does, and keep the trajectory.
+
+        Args:
+            start: As in `GlobalPlanner.plan`, as are the others.
+            target: Pose to reach.
+            rng: What the planner draws from.
+        """
         self.kept.append(super().plan(start, target, rng=rng))
         return self.kept[-1]
 

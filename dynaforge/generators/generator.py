@@ -64,7 +64,7 @@ class ResidualGenerator:
     """
 
     def __init__(self, policy: ResidualPolicy, *, policy_hash: str = "", name: str = "residual") -> None:
-        check_callable("policy", policy, such_as="a function of an observation")
+        check_callable("policy", policy, expected="a function of an observation")
         check_kind("policy_hash", policy_hash, str)
         check_generator_name(name)
         self.policy = policy
@@ -152,7 +152,7 @@ class ExploringPolicy:
     """
 
     def __init__(self, policy: ResidualPolicy, sigma: float) -> None:
-        check_callable("policy", policy, such_as="a function of an observation")
+        check_callable("policy", policy, expected="a function of an observation")
         check_number("sigma", sigma, least=0.0)
         self.policy = policy
         self.sigma = sigma

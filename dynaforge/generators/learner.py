@@ -65,7 +65,7 @@ class LearnerGenerator:
             self._learner = load(task.name)
         except (Exception, SystemExit) as error:  # the user's code may raise anything
             raise ValueError(f"{option}: {in_one_line(error)}") from error
-        check_callable(f"{option}: what it returns", self._learner, such_as="a function of an observation")
+        check_callable(f"{option}: what it returns", self._learner, expected="a function of an observation")
         layout = getattr(self._learner, "layout", EXPORTED)
         check_kind(f"{option}: the policy's layout", layout, ActionLayout)
         return ExportBridge(task, layout, settings=self.settings)

@@ -1,4 +1,4 @@
-"""Scene, condition, state, robot: everything that touches physics."""
+"""Scene, condition, state and robot: everything that touches physics."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -30,7 +30,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import SimScene, and the physics engine with it, when first asked for: conditions and tasks are data."""
+    """Import SimScene, and the physics engine with it, only when it is used: conditions and tasks are plain data."""
     if name == "SimScene":
         from dynaforge.sim.scene import SimScene
 

@@ -1,4 +1,4 @@
-"""The bare simulator: motor commands replayed with nothing around them, to measure what everything else costs."""
+"""The bare simulator: motor commands replayed without the rest of the stack, to measure what the rest costs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from dynaforge.sim.state import SceneState
 
 @dataclass(frozen=True, slots=True)
 class MotorCommands:
-    """All that is asked of the motors in one control step, computed beforehand.
+    """The commands to all motors in one control step, computed beforehand.
 
     Attributes:
-        path: Joint targets of the arm in each substep, radians.
-        velocity: Joint velocities fed forward with them, rad/s.
+        path: Joint targets of the arm at each substep, radians, shape (substeps, 7).
+        velocity: Joint velocities fed forward with them, rad/s, shape (7,).
         width: Opening of the hand, metres.
-        fixtures: Speeds of the motors of each fixture, rad/s or m/s.
+        fixtures: Motor speeds of each fixture, rad/s or m/s.
     """
 
     path: list[list[float]]
@@ -34,13 +34,16 @@ class MotorCommands:
 def motor_commands(
     scene: SimScene, condition: Condition, references: Sequence[tuple[Array, float]]
 ) -> list[MotorCommands]:
-    """Simulate an episode and note what its motors are asked for.
+    """Simulate an episode and return the commands to its motors.
 
     Args:
-        scene: Where.
-        condition: What fixes the episode.
+        scene: The scene to simulate it in.
+        condition: The condition of the episode.
         references: Joint reference (rad, shape (7,)) and opening (m) of each control step, as `SimScene.step` takes
             them.
+
+    Returns:
+        The commands of each control step.
     """
     spec, fixtures = scene.spec, scene._bullet.fixtures.values()
     shares = np.arange(1, spec.substeps + 1)[:, None] / spec.substeps
@@ -54,20 +57,20 @@ def motor_commands(
 
 
 def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorCommands]) -> tuple[float, SceneState]:
-    """Replay an episode's motor commands with nothing around them.
+    """Replay the motor commands of an episode, and nothing else.
 
-    The opening is commanded where it changes, and fixtures once a control step.
+    The opening is commanded where it changes, and fixtures once per control step.
 
     Args:
-        scene: Where.
-        condition: What fixes the episode.
-        commands: What `motor_commands` noted of it.
+        scene: The scene to simulate it in.
+        condition: The condition of the episode.
+        commands: What `motor_commands` returned for it.
 
     Returns:
-        CPU seconds, without the reset, and the state at the end; its time is not kept.
+        CPU seconds without the reset, and the state at the end, whose time is not updated.
     """
     scene.reset(condition)
-    # The scene's own bound calls: any other way of calling Bullet is slower and would flatter the ratio.
+    # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.
     command_arm, step_physics, finger_motors = scene._command_arm, scene._step_physics, scene._finger_motors
     fixtures = tuple(scene._bullet.fixtures.values())
     commanded = None

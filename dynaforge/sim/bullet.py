@@ -1,4 +1,4 @@
-"""PyBullet without the lines it prints to the terminal."""
+"""PyBullet without the lines that it prints to the terminal, and small functions on its bodies and links."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from dynaforge.sim.spec import asset_path, check_urdf
 
 __all__ = ["connect", "joints_and_links", "load_asset", "pose_of", "pybullet"]
 
-STDERR = 2  # the descriptor
+STDERR = 2  # its file descriptor
 
 
 @contextlib.contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """Point the descriptor of stderr elsewhere: on its import Bullet prints from C, below Python's streams.
+    """Redirect the file descriptor of stderr to nowhere: when imported, Bullet prints from C, below Python's streams.
 
-    It is used for that one import, which Python runs once in a process: no two threads are ever in here. A process
-    without stderr has nothing to point elsewhere. (C's own `stderr` is no way around the descriptor: libstdc++, if it
-    is loaded meanwhile, keeps what it then finds there for good.)
+    It is used only for that import, which Python runs once per process, so that no two threads are ever in here. A
+    process without stderr needs no redirection. (Replacing C's own `stderr` instead would not do: a libstdc++ that is
+    loaded meanwhile would keep the replacement for good.)
     """
     try:
         kept = os.dup(STDERR)
@@ -54,9 +54,16 @@ STIFFNESS, DAMPING = 1e6, 2000.0  # N/m, N s/m
 
 
 class Client:
-    """A physics world of its own: every function of `pybullet`, bound to it. Ends with the object.
+    """A physics world of its own, with every function of `pybullet` bound to it; it ends with the object.
 
-    pybullet_utils has the like, but connects with an empty string of options, upon which Bullet prints its arguments.
+    pybullet_utils has a similar class, which however passes an empty string of options, so that Bullet prints its
+    arguments.
+
+    Args:
+        mode: `pybullet.DIRECT` or `pybullet.GUI`.
+
+    Raises:
+        RuntimeError: There are too many worlds in this process.
     """
 
     def __init__(self, mode: int) -> None:
@@ -64,15 +71,17 @@ class Client:
         self._owner = os.getpid()
         self._id = pybullet.connect(mode)
         if self._id < 0:
-            raise RuntimeError("Bullet opens no other world in this process; close envs that are no longer needed.")
+            raise RuntimeError(
+                "Bullet cannot open another world in this process; close envs that are no longer needed."
+            )
 
     def __getattr__(self, name: str) -> Any:
         return functools.partial(getattr(pybullet, name), physicsClientId=self._id)
 
     def disconnect(self) -> None:
-        """Leave the world; safe to call more than once."""
+        """Close the world; safe to call more than once."""
         world, self._id = self._id, -1
-        if world >= 0 and os.getpid() == self._owner:  # a forked copy has no say over it
+        if world >= 0 and os.getpid() == self._owner:  # a forked copy must not close it
             with contextlib.suppress(pybullet.error):
                 pybullet.disconnect(physicsClientId=world)
 
@@ -81,10 +90,10 @@ class Client:
 
 
 def connect(*, gui: bool = False) -> Client:
-    """Open a physics client of its own, with Bullet's window or without.
+    """Open a new physics world, with Bullet's window or without.
 
     Raises:
-        OSError: A window is asked for and there is no display. Bullet itself would end the process.
+        OSError: The window needs a display and there is none. Bullet itself would end the process.
     """
     if gui and (problem := missing_display()):
         raise OSError(
@@ -95,7 +104,7 @@ def connect(*, gui: bool = False) -> Client:
 
 
 def missing_display() -> str:
-    """Say why Bullet could open no window here; empty where it can."""
+    """Return why Bullet cannot open a window here; "" if it can."""
     if sys.platform != "linux":
         return ""
     display = os.environ.get("DISPLAY")
@@ -114,7 +123,7 @@ def missing_display() -> str:
 
 
 def joints_and_links(client: Any, body: int) -> tuple[dict[str, int], dict[str, int]]:
-    """Return Bullet's index of every joint and of every link of a body by name; the root link is -1."""
+    """Return Bullet's index of every joint, and of every link, of a body by name; that of the root link is -1."""
     joints, links = {}, {client.getBodyInfo(body)[0].decode(): -1}
     for i in range(client.getNumJoints(body)):
         info = client.getJointInfo(body, i)
@@ -148,9 +157,9 @@ def free_link(
 
 
 def stiffen(client: Any, body: int) -> None:
-    """Make the surface of a body stiff: all that an arm may press an object against.
+    """Make the surface of a body stiff; it must be called for every body that the arm may press an object against.
 
-    Otherwise objects sink up to 20 mm in: the solver ends before it has held up so much heavier an arm.
+    Otherwise objects sink in by up to 20 mm, because the solver stops before it balances the much heavier arm.
     """
     for link in range(-1, client.getNumJoints(body)):
         client.changeDynamics(body, link, contactStiffness=STIFFNESS, contactDamping=DAMPING)
@@ -158,7 +167,7 @@ def stiffen(client: Any, body: int) -> None:
 
 @contextlib.contextmanager
 def plain_urdf(urdf: Path) -> Iterator[Path]:
-    """Write a copy of the robot's URDF whose links look as they collide; it is there while the context lasts."""
+    """Yield a temporary copy of the robot's URDF in which links are drawn by their collision meshes."""
     meshes = urdf.parent / "meshes" / "collision"
     text = re.sub(r'"package://meshes/\w+/(\w+\.obj)"', rf'"{meshes}/\1"', urdf.read_text())
     with tempfile.TemporaryDirectory() as folder:
@@ -168,26 +177,27 @@ def plain_urdf(urdf: Path) -> Iterator[Path]:
 
 
 def pose_of(position: tuple[float, ...], quat_xyzw: tuple[float, ...]) -> Pose:
-    """Turn what Bullet says of a frame into a pose."""
+    """Turn a position and a quaternion of Bullet's into a pose."""
     return Pose(np.array(pybullet.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3), np.array(position))
 
 
 def load_asset(client: Any, name: str, *, flags: int, fixed: bool, position: tuple[float, float, float]) -> int:
-    """Load a URDF below `assets/` and keep it awake for good.
+    """Load a URDF below `assets/`, with sleeping disabled.
 
     Args:
         client: The physics client.
         name: The file, as `asset_path` takes it.
-        flags: Of Bullet's `loadURDF`.
+        flags: Flags of Bullet's `loadURDF`.
         fixed: Whether its root link is bolted down.
-        position: Where, metres.
+        position: Where it is put, metres.
 
     Returns:
-        The body.
+        Index of the body.
 
     Raises:
         FileNotFoundError: No such asset.
-        ValueError: It cannot be loaded, or its root link's inertial frame is not its own: Bullet places bodies by it.
+        ValueError: It cannot be loaded, or the inertial frame of its root link, by which Bullet places it, is not the
+            link's own frame.
     """
     path = asset_path(name)
     check_urdf(path)

@@ -1,4 +1,4 @@
-"""A scene as Bullet knows it, by index: indices stay in this package, and `SimScene` answers in names."""
+"""A scene in Bullet's indices, which never leave this package: `SimScene` speaks in names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from dynaforge.sim.robot import RobotDescription
 from dynaforge.sim.spec import BodySpec, SceneSpec
 
 MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
-PARKING_HEIGHT = 5.0  # metres: bodies wait here, out of contact, in the saved state
+PARKING_HEIGHT = 5.0  # metres; in the saved state bodies wait up here, out of contact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,9 +24,9 @@ class BulletRobot:
     """The robot in Bullet.
 
     Attributes:
-        body: Its index.
-        arm, fingers: Its joints, in the order of its description.
-        ee: The link whose frame is the end-effector frame.
+        body: Index of the body.
+        arm, fingers: Indices of the joints, in the order of the description.
+        ee: Index of the link whose frame is the end-effector frame.
     """
 
     body: int
@@ -40,9 +40,9 @@ class FreeBody:
     """A free body in Bullet.
 
     Attributes:
-        body: Its index.
-        joints: Its joints by name, which turn without motors.
-        inertia_per_kg: Principal moments of inertia of its root link, m^2.
+        body: Index of the body.
+        joints: Indices of its joints, which turn without motors, by name.
+        inertia_per_kg: Principal moments of inertia of the root link, divided by its mass, m^2.
     """
 
     body: int
@@ -52,12 +52,12 @@ class FreeBody:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BulletScene:
-    """All that `load_scene` loaded.
+    """Everything that `load_scene` loaded.
 
     Attributes:
-        client: The physics client; every index is one of its own.
+        client: The physics client, to which all indices belong.
         robot: The robot.
-        table: The table's body.
+        table: Index of the table.
         free: Free bodies by name.
         fixtures: Fixtures by name.
     """
@@ -70,7 +70,7 @@ class BulletScene:
 
     @property
     def bodies(self) -> dict[str, int]:
-        """Everything that stands in the scene now, by name: robot, table, free bodies, fixtures in their variant."""
+        """Indices of the bodies in the scene now, by name: robot, table, free bodies, current variants of fixtures."""
         free = {name: free.body for name, free in self.free.items()}
         fixtures = {name: fixture.body for name, fixture in self.fixtures.items()}
         return {"robot": self.robot.body, "table": self.table, **free, **fixtures}
@@ -79,16 +79,16 @@ class BulletScene:
 def load_scene(spec: SceneSpec, robot: RobotDescription, *, visuals: Visuals, gui: bool) -> BulletScene:
     """Open a physics world and load robot, table, bodies and fixtures, in this order.
 
-    The order is part of the physics, because the solver processes contacts in it.
+    The order is part of the physics, because the solver processes contacts in that order.
 
     Args:
-        spec: What the scene holds.
+        spec: What the scene contains.
         robot: Geometry and limits.
-        visuals: Which visual shapes, as `SimScene` takes it.
-        gui: Open Bullet's window.
+        visuals: Which visual shapes to load, as in `SimScene`.
+        gui: Whether to open Bullet's window.
     """
     client = connect(gui=gui)
-    # Without this flag Bullet turns a URDF cylinder into a 32-gon, which loses 0.2 m/s a second when it rolls.
+    # Without this flag Bullet turns a URDF cylinder into a prism of 32 sides, which decelerates at 0.2 m/s^2 rolling.
     flags = p.URDF_USE_IMPLICIT_CYLINDER
     if not (visuals or gui):
         flags |= p.URDF_IGNORE_VISUAL_SHAPES
@@ -150,7 +150,7 @@ def _load_body(client: Any, spec: BodySpec, k: int, *, flags: int) -> FreeBody:
             rolling_friction=spec.rolling_friction,
             spinning_friction=spec.spinning_friction,
         )
-    for joint in joints.values():  # Bullet gives every joint a motor that holds it, and 100 rad/s at most
+    for joint in joints.values():  # by default Bullet brakes every joint with a motor, and limits it to 100 rad/s
         client.changeDynamics(body, joint, maxJointVelocity=MAX_JOINT_SPEED)
         client.setJointMotorControl2(body, joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0)
     mass, _, inertia = client.getDynamicsInfo(body, -1)[:3]

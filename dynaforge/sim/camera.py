@@ -1,4 +1,4 @@
-"""Cameras on a scene: colour, depth and segmentation, and the points that a depth image holds."""
+"""Cameras on a scene: colour, depth and segmentation, and the points of a depth image."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 Visuals = bool | Literal["plain"]
-"""Which visual shapes a scene loads, see `SimScene`."""
+"""Which visual shapes a scene loads; see `SimScene`."""
 
 FLIP = np.diag((1.0, -1.0, -1.0))  # from OpenGL's camera axes (y up, looking along -z) to OpenCV's (y down, along z)
-LARGEST = 4096  # pixels of an edge: an image of more takes gigabytes
-LIGHT = (0.6, -0.6, 2.0)
+MAX_EDGE = 4096  # pixels; a larger image takes gigabytes
+LIGHT = (0.6, -0.6, 2.0)  # direction of the light
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +30,13 @@ class Camera:
     """A pinhole camera, fixed in the world or in the hand.
 
     Attributes:
-        name: What its arrays are called by.
-        eye, look_at, up: Metres; in the world frame, or in the end-effector frame of a camera in the hand.
+        name: Its name in files and observations.
+        eye, look_at, up: Position, point that it looks at (m), and direction that is up in the image; in the world
+            frame or, for a camera in the hand, in the end-effector frame.
         in_hand: Whether it moves with the end effector.
         size: (width, height), pixels.
         fov: Vertical field of view, degrees.
-        near, far: Planes between which it sees, metres.
+        near, far: Distances of the planes between which it sees, metres.
     """
 
     name: str
@@ -51,21 +52,21 @@ class Camera:
 
     def __post_init__(self) -> None:
         check_name("Camera: name", self.name)
-        what = f"Camera {self.name!r}"
+        camera = f"Camera {self.name!r}"
         for name in ("eye", "look_at", "up"):
-            check_numbers(f"{what}: {name}", getattr(self, name), 3)
-        check_flag(f"{what}: in_hand", self.in_hand)
-        check_numbers(f"{what}: size", self.size, 2)
+            check_numbers(f"{camera}: {name}", getattr(self, name), 3)
+        check_flag(f"{camera}: in_hand", self.in_hand)
+        check_numbers(f"{camera}: size", self.size, 2)
         for name in ("fov", "near", "far"):
-            check_number(f"{what}: {name}", getattr(self, name), above=0.0)
-        inside = all(is_whole(edge) and 1 <= edge <= LARGEST for edge in self.size)
+            check_number(f"{camera}: {name}", getattr(self, name), above=0.0)
+        inside = all(is_whole(edge) and 1 <= edge <= MAX_EDGE for edge in self.size)
         if not inside or self.fov >= 180.0 or self.near >= self.far:
-            raise ValueError(f"{what} needs a size of whole pixels, 1 to {LARGEST} each, fov < 180 and near < far.")
+            raise ValueError(f"{camera} needs a size of whole pixels, 1 to {MAX_EDGE} each, fov < 180 and near < far.")
         self.pose(Pose.identity())
 
     @property
     def intrinsics(self) -> Array:
-        """K of the pinhole, pixels, shape (3, 3): what column j and row i hold was seen along K^-1 (j, i, 1).
+        """The matrix K, pixels, shape (3, 3): the pixel in column j and row i shows what lies along K^-1 (j, i, 1).
 
         Bullet's software renderer samples a pixel at its lower left corner.
         """
@@ -74,7 +75,7 @@ class Camera:
         return np.array(((f, 0.0, 0.5 * width), (0.0, f, 0.5 * height - 1.0), (0.0, 0.0, 1.0)))
 
     def pose(self, ee: Pose) -> Pose:
-        """`T_world_camera` with the axes of OpenCV (x right, y down, z ahead), given the end effector's pose.
+        """Return `T_world_camera` with the axes of OpenCV (x right, y down, z ahead), given the end effector's pose.
 
         Raises:
             ValueError: It looks at itself, or along its own up direction.
@@ -92,18 +93,18 @@ class Camera:
         return ee @ own if self.in_hand else own
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON data."""
+        """Return the camera as plain JSON data."""
         return asdict(self)
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Camera:
-        """Read what `to_dict` wrote.
+        """Build a camera from what `to_dict` returned.
 
         Raises:
-            ValueError: A field is missing or unknown.
+            ValueError: A field is missing, unknown or out of range.
         """
         if not isinstance(data, Mapping):
-            raise ValueError(f"No camera: {quoted(data)} is no mapping with name, eye and look_at.")
+            raise ValueError(f"No camera: {quoted(data)} is not a mapping with name, eye and look_at.")
         try:
             values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
             return Camera(**values)
@@ -118,8 +119,8 @@ class Image:
     Attributes:
         rgb: Shape (H, W, 3), uint8.
         depth: Distance along the optical axis, metres, shape (H, W), float32; `far` where nothing is.
-        segmentation: Which of `names` each pixel shows, counted from 0, shape (H, W), int8; -1 where nothing is.
-        names: As `SimScene.names`.
+        segmentation: Index into `names` of what each pixel shows, shape (H, W), int8; -1 where nothing is.
+        names: Those of `SimScene.names`.
         pose: `T_world_camera`.
     """
 
@@ -142,18 +143,18 @@ class Image:
 
 
 def film_camera(view: tuple[Point, Point]) -> Camera:
-    """Return the camera of `render()` and films, which looks from the first point to the second (`Task.camera`)."""
+    """Return the camera of `render()` and films: it looks from the first point to the second, as in `Task.camera`."""
     eye, look_at = view
     return Camera("film", eye, look_at, size=(480, 360), fov=45.0, near=0.05, far=8.0)
 
 
 def take_image(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
-    """Take an image of the scene as it is now, as `SimScene.image`.
+    """Return an image of the scene as it is now; see `SimScene.image`.
 
     Args:
-        scene: What to draw.
-        camera: From where.
-        ee: `T_world_ee` now, which a camera in the hand moves with.
+        scene: The scene.
+        camera: The camera.
+        ee: `T_world_ee` now, for a camera in the hand.
     """
     width, height = camera.size
     pose = camera.pose(ee)
@@ -174,25 +175,28 @@ def take_image(scene: BulletScene, camera: Camera, ee: Pose) -> Image:
 
 
 def take_picture(scene: BulletScene, camera: Camera, ee: Pose) -> NDArray[np.uint8]:
-    """Take a picture with shadows of the scene as it is now, as `SimScene.picture`.
+    """Return a picture with shadows of the scene as it is now; see `SimScene.picture`.
 
     Args:
-        scene: What to draw.
-        camera: From where.
-        ee: `T_world_ee` now, which a camera in the hand moves with.
+        scene: The scene.
+        camera: The camera.
+        ee: `T_world_ee` now, for a camera in the hand.
+
+    Returns:
+        RGB, shape (H, W, 3).
     """
     from dynaforge.sim.bullet import pybullet as p
 
     if camera.in_hand:
         view = _view_matrix(camera.pose(ee))
-    else:  # in Bullet's own rounding, to which films are the same pixel by pixel
+    else:  # with Bullet's own rounding, so that films stay the same in every pixel
         view = list(p.computeViewMatrix(camera.eye, camera.look_at, camera.up))
     return _rgb(_draw(scene, camera, view, shadow=1, flags=p.ER_NO_SEGMENTATION_MASK)[2], camera)
 
 
 def _draw(scene: BulletScene, camera: Camera, view: list[float], **options: int) -> Any:
-    """Draw with Bullet's software renderer; returns width, height, RGBA, depth and bodies."""
-    from dynaforge.sim.bullet import pybullet as p  # here: whoever only reads about cameras does without the engine
+    """Draw with Bullet's software renderer; return width, height, RGBA, depth and bodies."""
+    from dynaforge.sim.bullet import pybullet as p  # only here, so that cameras can be described without the engine
 
     width, height = camera.size
     projection = p.computeProjectionMatrixFOV(camera.fov, width / height, camera.near, camera.far)
@@ -202,7 +206,7 @@ def _draw(scene: BulletScene, camera: Camera, view: list[float], **options: int)
 
 
 def _view_matrix(pose: Pose) -> list[float]:
-    """Lay out `T_camera_world`, in OpenGL's axes, column by column."""
+    """Return `T_camera_world` in OpenGL's axes, column by column."""
     view = np.eye(4)
     view[:3, :3] = FLIP @ pose.rotation.T
     view[:3, 3] = -view[:3, :3] @ pose.position
@@ -216,14 +220,14 @@ def _rgb(rgba: Any, camera: Camera) -> NDArray[np.uint8]:
 
 
 def world_points(camera: Camera, image: Image) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the point that each pixel saw, world frame, metres, shape (H, W, 3), and whether it saw any, (H, W)."""
+    """Return the world point (m) that each pixel shows, shape (H, W, 3), and whether it shows any, shape (H, W)."""
     points = (_rays(camera) * image.depth[..., None]) @ image.pose.rotation.T + image.pose.position
     return points, image.segmentation >= 0
 
 
 @lru_cache(maxsize=16)
 def _rays(camera: Camera) -> Array:
-    """Direction of each pixel in the camera's own axes, with z = 1, shape (H, W, 3): the same at every frame."""
+    """Return the direction of each pixel in the camera's axes, with z = 1, shape (H, W, 3): the same in every frame."""
     width, height = camera.size
     K = camera.intrinsics
     u, v = np.meshgrid(np.arange(width), np.arange(height))

@@ -1,4 +1,4 @@
-"""The dynamic condition xi: everything the rollouts of a group share."""
+"""The dynamic condition xi: everything that the rollouts of a group share."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from dynaforge.sim.checks import check_kind, check_name, check_whole, is_number,
 class Condition:
     """A dynamic condition xi of the paper: scene initialisation and exogenous motion of one episode.
 
-    Same condition and same actions give a bit-identical episode: every random part of the scene draws from `seed`.
+    The same condition and the same actions give the same episode, bit for bit: everything random in the scene is drawn
+    from `seed`.
 
     Attributes:
         task: Task name, e.g. "can".
-        seed: Seed of everything the named values leave open.
-        difficulty: Nominal difficulty, in the task's own unit (for Can the launch speed, m/s).
-        values: The named parameters of the scene, SI units.
+        seed: Seed of everything that `values` leaves open.
+        difficulty: Nominal difficulty in the task's own unit (for Can the launch speed, m/s).
+        values: The parameters of the scene by name, SI units.
     """
 
     task: str
@@ -36,12 +37,12 @@ class Condition:
         check_kind("Condition: values", self.values, Mapping)
         if not is_number(self.difficulty):
             raise ValueError(f"Condition: difficulty is {quoted(self.difficulty)}; it must be a number.")
-        for name, value in self.values.items():  # whether it is in range its space says
+        for name, value in self.values.items():  # their ranges are checked by the task's ConditionSpace
             if not isinstance(name, str) or not is_number(value):
                 raise ValueError(
                     f"Condition: values[{quoted(name)}] is {quoted(value)}; it must be a number with a name."
                 )
-        # Plain numbers, and 0.0 for -0.0: otherwise equal conditions had different ids.
+        # Plain numbers, and 0.0 for -0.0: otherwise equal conditions would have different ids.
         object.__setattr__(self, "seed", int(self.seed))
         object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)
         values = {name: float(value) + 0.0 for name, value in sorted(self.values.items())}
@@ -54,7 +55,7 @@ class Condition:
         return hash(self.id)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data that JSON holds without loss."""
+        """Return plain data that JSON stores without loss."""
         return {"task": self.task, "seed": self.seed, "difficulty": self.difficulty, "values": dict(self.values)}
 
     @staticmethod
@@ -74,6 +75,6 @@ class Condition:
 
     @property
     def id(self) -> str:
-        """Sixteen hex digits that name the condition: equal conditions have equal ids in every process."""
+        """Sixteen hex digits that identify the condition; equal conditions have equal ids in every process."""
         text = json.dumps(self.to_dict(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -15,15 +15,16 @@ STANDING = Drive()
 
 
 class Fixture:
-    """One fixture of a scene, all its variants loaded; a placement picks the one that stands there.
+    """One fixture of a scene with all its variants loaded; a placement chooses the one that is used.
 
-    Motors only ever push: each control step asks them for the speed that meets the drive at its end.
+    Joints are moved by motors, never set: at each control step their speeds are those that reach the drive's position
+    at its end.
 
     Args:
         client: The physics client.
-        spec: What it is.
-        flags: For loading.
-        waiting_at: Where its variants wait, metres.
+        spec: The description of the fixture.
+        flags: Flags of Bullet's `loadURDF`.
+        waiting_at: Where the variants wait that are not used, metres.
     """
 
     def __init__(self, client: Any, spec: FixtureSpec, *, flags: int, waiting_at: tuple[float, float, float]) -> None:
@@ -67,14 +68,14 @@ class Fixture:
             )
 
     def place(self, placement: Placement | None) -> None:
-        """Put one variant where a condition wants it; None leaves all of them waiting."""
+        """Put one variant where a condition places it; None leaves all of them waiting."""
         variant = placement.variant if placement is not None else 0
         self.body, self._link = self.variants[variant], self._links[variant]
         joints = self._joints[variant]
         self._spring_joint = joints[self.spec.spring.joint] if self.spec.spring is not None else None
         drives = placement.drives if placement is not None else {}
         self._motors = [(joints[name], drives.get(name, STANDING), self._efforts[name]) for name in self.spec.driven]
-        # Bullet solves all bodies in one go: the motor of a variant that waits would change the bits of the others.
+        # Bullet solves all bodies together, so that a running motor of a waiting variant would change the others' bits.
         for body, its_joints in zip(self.variants, self._joints, strict=True):
             for name in self.spec.driven:
                 self._client.setJointMotorControl2(
@@ -88,33 +89,33 @@ class Fixture:
             self._client.resetJointState(self.body, joint, drive.start, drive.speed(0.0))
 
     def drive(self, time: float, dt: float) -> None:
-        """Ask the motors for the speeds that bring every driven joint to where it is due at `time` in `dt` seconds."""
+        """Command the speeds that bring every driven joint within `dt` seconds to its position at `time`."""
         self.command(self.due(time, dt))
 
     def due(self, time: float, dt: float) -> list[float]:
-        """Return those speeds, rad/s or m/s, in the order of `FixtureSpec.driven`."""
+        """Return the speeds of `drive`, rad/s or m/s, in the order of `FixtureSpec.driven`."""
         state = self._client.getJointState
         return [(drive.position(time) - state(self.body, joint)[0]) / dt for joint, drive, _ in self._motors]
 
     def command(self, speeds: list[float]) -> None:
-        """Ask the motors for speeds, rad/s or m/s."""
+        """Command the speeds of the motors, rad/s or m/s, in the order of `FixtureSpec.driven`."""
         for (joint, _, effort), speed in zip(self._motors, speeds, strict=True):
             self._client.setJointMotorControl2(self.body, joint, p.VELOCITY_CONTROL, targetVelocity=speed, force=effort)
 
     def observe(self) -> BodyState:
-        """Return pose and twist of the tracked link."""
+        """Return pose and velocities of the tracked link."""
         if self._link == -1:
             return BodyState(pose_of(*self._client.getBasePositionAndOrientation(self.body)), np.zeros(3), np.zeros(3))
         link = self._client.getLinkState(self.body, self._link, computeLinkVelocity=1, computeForwardKinematics=1)
         return BodyState(pose_of(link[4], link[5]), np.array(link[6]), np.array(link[7]))
 
     def touched_by(self, contacts: tuple[Any, ...]) -> list[int]:
-        """Of contacts of the robot with this fixture, return the robot's links that touch the tracked link."""
+        """Return the robot's links that touch the tracked link, given the robot's contacts with this fixture."""
         return [contact[3] for contact in contacts if contact[4] == self._link]
 
     @property
     def pressed(self) -> float:
-        """How far its spring is pressed in, metres; 0 without one."""
+        """How far its spring is pressed in, metres; 0 without a spring."""
         if self._spring_joint is None:
             return 0.0
         return -float(self._client.getJointState(self.body, self._spring_joint)[0])

@@ -1,4 +1,4 @@
-"""What the hand is asked for: a pose and an opening, as one value."""
+"""The target of the hand: a pose and an opening, as one value."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class HandTarget:
     """A target of the hand.
 
     Attributes:
-        pose: Wanted end-effector pose `T_world_ee`.
-        width: Wanted opening between the fingers, metres.
+        pose: Target of the end-effector pose, `T_world_ee`.
+        width: Target of the opening between the fingers, metres.
     """
 
     pose: Pose
@@ -27,11 +27,11 @@ class HandTarget:
     __repr__ = one_line
 
     def corrected(self, residual: Array) -> HandTarget:
-        """Add a residual.
+        """Return the target with a residual added.
 
         Args:
-            residual: Along and about the axes of the world, shape (7,): translation (m), rotation vector (rad), which
-                turns the hand about itself, and width (m).
+            residual: Translation (m), rotation vector (rad) and width (m), shape (7,), in the axes of the world. The
+                rotation turns the hand about its own origin.
         """
         rotation = self.pose.rotation
         if residual[3] or residual[4] or residual[5]:
@@ -39,7 +39,7 @@ class HandTarget:
         return HandTarget(Pose(rotation, self.pose.position + residual[:3]), self.width + float(residual[6]))
 
     def within_reach(self, robot: RobotDescription) -> HandTarget:
-        """Return the nearest target with the fingers above the table and an opening that the hand has."""
+        """Return the nearest target with the fingers above the table and an opening within the hand's range."""
         pose = self.pose
         if pose.position[2] < LOWEST_EE:
             x, y, _ = pose.position.tolist()

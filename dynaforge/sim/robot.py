@@ -1,4 +1,4 @@
-"""What the robot is: geometry of the Panda, limits of the Franka Research 3."""
+"""The description of the robot: geometry of the Panda, limits of the Franka Research 3."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from dynaforge.geometry import Array, one_line
 from dynaforge.sim.checks import check_kind, check_number, check_text, check_tuple, finite_array, quoted
 
-HAND_WIDTH = 0.08  # metres that the hand opens
+HAND_WIDTH = 0.08  # metres, fully open
 ELBOW = 2
-"""Index of the joint whose angle tells the elbow apart, as in Franka's own Cartesian interface."""
+"""Index of the joint whose angle describes the elbow, as in Franka's own Cartesian interface."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class RobotDescription:
-    """Everything physics and planning must agree on about the arm.
+    """Everything about the robot that physics and planning must agree on.
 
     The end-effector frame `ee` sits between the finger pads: its z axis points out of the hand, its y axis is the
     direction in which the fingers open. The base frame is the world frame; the table top is at z = 0.
@@ -28,12 +28,12 @@ class RobotDescription:
         finger_joints: Names of the two finger joints.
         ee_link: Link whose frame is the end-effector frame.
         q_lower, q_upper: Position limits, radians, shape (7,).
-        dq_max, ddq_max, dddq_max: Velocity, acceleration and jerk limits, shape (7,).
-        stop_speed: The robot stops itself, as the real arm does by reflex, where a measured joint speed exceeds this
-            multiple of its limit: a servo may overshoot a little, a jammed hand that breaks free may not.
-        q_ready: The pose every episode starts from, radians, shape (7,).
+        dq_max, ddq_max, dddq_max: Velocity, acceleration and jerk limits, rad/s, rad/s^2, rad/s^3, shape (7,).
+        stop_speed: The robot stops itself, as the reflex of the real arm does, when a measured joint speed exceeds this
+            multiple of its limit. A servo may overshoot the limit a little; a jammed hand that breaks free exceeds it.
+        q_ready: The joint positions from which every episode starts, radians, shape (7,).
         effort_max: Joint torque limits, Nm, shape (7,).
-        width_max: Opening between the fingers, metres.
+        width_max: Largest opening between the fingers, metres.
         finger_speed_max: Speed limit of one finger, m/s; the width changes at most twice as fast.
         grip_force: Force limit of each finger, newtons.
     """

@@ -22,32 +22,33 @@ from dynaforge.sim.state import BodyState, SceneState
 
 POSITION_GAIN = 0.3
 VELOCITY_GAIN = 1.0
-FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers adds up to 0.2 % to the motor's own limit
-PARKED_STEPS = 2  # substeps at each reset, the second to see that the list of pairs is empty
-# Collision group and mask, the latter two as Bullet gives them at loading.
+FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers exceeds the motor's own limit by up to 0.2 %
+PARKED_STEPS = 2  # substeps at each reset; in the second, Bullet finds its list of pairs empty
+# Collision group and mask; FREE and BOLTED are those that Bullet assigns when it loads a body.
 WITH_NOTHING, FREE, BOLTED = (0, 0), (1, -1), (2, -3)
 
 
 class SimScene:
     """One physics world that runs episode after episode.
 
-    Same condition and same references give the same bits, whatever was simulated before in this process: each reset
-    restores a state saved with nothing in contact (a plain teleport would keep Bullet's contact caches alive).
+    The same condition and the same references give the same bits, whatever was simulated before in this process: each
+    reset restores a state that was saved with nothing in contact. Only moving the bodies back would keep Bullet's
+    contact caches alive.
 
     Args:
-        spec: What the scene holds.
+        spec: What the scene contains.
         robot: Geometry and limits; the Franka by default.
-        visuals: Load visual shapes, which rendering needs and training does not; "plain" draws the robot by its
-            collision meshes, 3,400 triangles instead of 100,000, a picture in a fifth of the time.
-        gui: Open Bullet's window.
+        visuals: Whether to load visual shapes, which rendering needs and training does not. "plain" draws the robot by
+            its collision meshes, with 3,400 triangles instead of 100,000: a picture takes a fifth of the time.
+        gui: Whether to open Bullet's window.
 
     Attributes:
-        spec: What the scene holds.
+        spec: What the scene contains.
         robot: Geometry and limits.
         names: Names of robot, table, bodies and fixtures, in this order.
 
     Raises:
-        ValueError: An argument is of the wrong kind.
+        ValueError: An argument is of the wrong type.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class SimScene:
         self._q_reference = self.robot.q_ready
 
     def _bind_hot_calls(self) -> None:
-        # The client looks every call up anew: a third of the cost of the short ones.
+        # Looking a function up in the client costs a third of the time of a short call.
         client, robot = self._bullet.client, self._bullet.robot
         self._step_physics = client.stepSimulation
         self._command_arm = partial(
@@ -119,16 +120,16 @@ class SimScene:
     # ---------------------------------------------------------------- episode
 
     def reset(self, condition: Condition) -> SceneState:
-        """Put the world at t = 0 of this condition: robot at the ready pose, nothing moving but what it launches.
+        """Put the world at t = 0 of a condition: the robot at its ready pose, and nothing moving but what is launched.
 
         Raises:
-            ValueError: The task's `launch` does not say how the condition starts.
+            ValueError: The task's `launch` does not return a valid start of the condition.
         """
         client = self._bullet.client
         client.restoreState(self._saved)
-        # Bullet's broad phase has a memory: pairs that were in contact keep their caches, and the point in its list of
-        # pairs where it resumes looking for stale ones decides when they are dropped, hence which bodies are solved in
-        # one group, hence the last bits. Steps in which nothing may collide empty the list and reset that point.
+        # Bullet's broad phase has state of its own. Pairs that were in contact keep their caches; when they are dropped
+        # depends on where in its list of pairs it resumes looking for stale ones; and that decides which bodies are
+        # solved together, hence the last bits. Steps in which nothing may collide empty the list and reset that place.
         self._register_bodies(colliding=False)
         for _ in range(PARKED_STEPS):
             self._step_physics()
@@ -144,10 +145,13 @@ class SimScene:
         return self.observe()
 
     def _register_bodies(self, *, colliding: bool) -> None:
-        """Re-register every body with the broad phase in load order: the solver processes contacts in that order.
+        """Re-register every body with the broad phase in load order.
 
-        The order matters, because 20 iterations do not converge: with the robot last, the planner fails on one peach in
-        ten.
+        The solver processes contacts in that order, and 20 iterations do not converge: with the robot last, the planner
+        fails on one peach in ten.
+
+        Args:
+            colliding: Whether the bodies may collide.
         """
         for body, link, kind in self._colliding:
             self._register(body, link, *(kind if colliding else WITH_NOTHING))
@@ -170,9 +174,9 @@ class SimScene:
         Each substep moves the reference on a straight line and feeds its velocity forward.
 
         Args:
-            q_reference: Joint positions due at the end of the control step, radians, shape (7,).
-            width_reference: Opening due at the end of the control step, metres. The finger motors are held to the
-                hand's speed limit, whatever is asked.
+            q_reference: Joint positions to reach at the end of the control step, radians, shape (7,).
+            width_reference: Opening to reach at the end of the control step, metres. The finger motors never exceed
+                the hand's speed limit.
         """
         start = self._q_reference
         velocity = ((q_reference - start) / self.spec.control_dt).tolist()
@@ -192,10 +196,10 @@ class SimScene:
         """Disconnect from physics; safe to call more than once."""
         self._bullet.client.disconnect()
 
-    # ---------------------------------------------------------------- what is asked of it
+    # ---------------------------------------------------------------- observation
 
     def observe(self) -> SceneState:
-        """Snapshot the scene."""
+        """Return a snapshot of the scene."""
         joints = self._joint_states()
         dq = np.array([joint[1] for joint in joints[:7]])
         ee = self._ee_pose()
@@ -235,9 +239,9 @@ class SimScene:
         return np.array([joint[0] for joint in states]), np.array([joint[1] for joint in states])
 
     def overlaps(self) -> dict[tuple[str, str], float]:
-        """Return how deep each pair overlaps now, by the two names, metres; 0 where they do not.
+        """Return how deeply each pair of bodies overlaps now, metres, by the two names; 0 where they do not.
 
-        Pairs that cannot move against each other, such as table and fixtures, are left out.
+        Pairs that cannot move relative to each other, such as the table and a fixture, are left out.
         """
         bolted = {"table", *self._bullet.fixtures}
         return {
@@ -247,29 +251,29 @@ class SimScene:
         }
 
     def image(self, camera: Camera) -> Image:
-        """Return what a camera sees now as datasets hold it: colour, depth, and which of `names`.
+        """Return what a camera sees now as datasets store it: colour, depth and segmentation.
 
-        The scene needs its visuals.
+        The scene must have been loaded with visuals.
         """
         return take_image(self._bullet, camera, self._ee_pose())
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
         """Return what a camera sees now as films show it: RGB with shadows, shape (H, W, 3).
 
-        The scene needs its visuals.
+        The scene must have been loaded with visuals.
         """
         return take_picture(self._bullet, camera, self._ee_pose())
 
     def shapes(self) -> list[VisualShape]:
-        """Return the visual shapes of everything that stands in the scene now.
+        """Return the visual shapes of everything that is in the scene now.
 
-        The scene needs its visuals.
+        The scene must have been loaded with visuals.
 
         Raises:
-            ValueError: A shape of a kind that is not drawn.
+            ValueError: A shape is of a kind that viewers cannot draw.
         """
         return visual_shapes(self._bullet)
 
     def link_poses(self) -> dict[LinkName, Pose]:
-        """Return `T_world_link` of every link of everything that stands in the scene now."""
+        """Return `T_world_link` of every link of everything that is in the scene now."""
         return link_poses(self._bullet)

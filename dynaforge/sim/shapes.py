@@ -1,4 +1,4 @@
-"""What a scene looks like, as plain shapes and poses: for viewers that draw it themselves."""
+"""The look of a scene as plain shapes and poses, for viewers that draw it themselves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dynaforge.sim.bullet_scene import BulletScene
 
 ShapeKind = Literal["box", "sphere", "cylinder", "mesh"]
 LinkName = tuple[str, str]
-"""Which of `SimScene.names`, and the name of one of its links."""
+"""A name of `SimScene.names`, and the name of one of its links."""
 
 _KINDS: dict[int, ShapeKind] = {
     p.GEOM_SPHERE: "sphere",
@@ -31,11 +31,11 @@ class VisualShape:
 
     Attributes:
         link: The link.
-        kind: What it is; the axis of a cylinder is z.
-        size: Metres: edges of a box; radius of a sphere; length and radius of a cylinder; scale of a mesh.
-        file: Of a mesh.
+        kind: Kind of shape; the axis of a cylinder is z.
+        size: Edges of a box, radius of a sphere, length and radius of a cylinder (m), or scale factors of a mesh.
+        file: File of a mesh; None for other kinds.
         pose: `T_link_shape`.
-        rgb: Colour, each within [0, 1].
+        rgb: Colour, each component within [0, 1].
     """
 
     link: LinkName
@@ -47,19 +47,21 @@ class VisualShape:
 
 
 def visual_shapes(scene: BulletScene) -> list[VisualShape]:
-    """Return the shapes of everything that stands in the scene now, as `SimScene.shapes`."""
+    """Return the shapes of everything that is in the scene now; see `SimScene.shapes`."""
     names = {(body, index): link for link, body, index in _links(scene)}
     shapes = []
     for name, body in scene.bodies.items():
         for _, index, code, size, file, position, quat, rgba in scene.client.getVisualShapeData(body):
             if code not in _KINDS:
-                raise ValueError(f"A visual of {name!r} is no box, sphere, cylinder or mesh; viewers cannot draw it.")
+                raise ValueError(
+                    f"A visual shape of {name!r} is not a box, sphere, cylinder or mesh; viewers cannot draw it."
+                )
             kind = _KINDS[code]
-            used = {"sphere": 1, "cylinder": 2}.get(kind, 3)
+            n_sizes = {"sphere": 1, "cylinder": 2}.get(kind, 3)
             shape = VisualShape(
                 link=names[body, index],
                 kind=kind,
-                size=size[:used],
+                size=size[:n_sizes],
                 file=Path(file.decode()) if kind == "mesh" else None,
                 pose=pose_of(position, quat),
                 rgb=rgba[:3],
@@ -69,12 +71,12 @@ def visual_shapes(scene: BulletScene) -> list[VisualShape]:
 
 
 def link_poses(scene: BulletScene) -> dict[LinkName, Pose]:
-    """Return `T_world_link` of every link now, as `SimScene.link_poses`."""
+    """Return `T_world_link` of every link now; see `SimScene.link_poses`."""
     return {link: _link_pose(scene, body, index) for link, body, index in _links(scene)}
 
 
 def _links(scene: BulletScene) -> Iterator[tuple[LinkName, int, int]]:
-    """Yield name, body and index of every link of the scene."""
+    """Yield the name of every link of the scene, the index of its body, and its own index."""
     for name, body in scene.bodies.items():
         for link, index in joints_and_links(scene.client, body)[1].items():
             yield (name, link), body, index

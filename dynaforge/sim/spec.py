@@ -1,4 +1,4 @@
-"""What a scene holds and how a condition launches it: plain data."""
+"""What a scene contains and how a condition starts it, as plain data."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from dynaforge.sim.starts import Drive, Launch, Placement
 __all__ = ["BodySpec", "Drive", "FixtureSpec", "Launch", "Placement", "SceneSpec", "Spring", "asset_path", "check_urdf"]
 
 RESERVED = ("robot", "table")  # names of what is in every scene
-LONGEST_STEP = 1.0  # seconds of a control step: more is a rate that was given for a period
+MAX_CONTROL_DT = 1.0  # seconds; a larger value is a rate mistaken for a period
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,8 @@ class Spring:
     """A joint that a spring holds at 0, such as a button's.
 
     Attributes:
-        joint: Its name; pressing moves it below 0.
-        force: With which the spring pushes back, newtons.
+        joint: Name of the joint; pressing moves it below 0.
+        force: Force with which the spring pushes back, newtons.
     """
 
     joint: str
@@ -47,16 +47,16 @@ class Spring:
 
 @dataclass(frozen=True, slots=True)
 class FixtureSpec:
-    """A body on a fixed base, whose joints a motor drives inside physics or a spring holds.
+    """A body on a fixed base, whose joints are driven by motors inside physics or held by a spring.
 
     Attributes:
         name: Its name in `SceneState.objects`.
-        urdf: Its file below `assets/`, or several, of which a condition picks one (`Placement.variant`).
-        link: The link whose frame is tracked: the bowl, the pad, the button.
-        driven: Names of the joints that motors drive; none for scenery that never moves.
-        spring: The one joint that a spring holds.
+        urdf: Its file below `assets/`, or several files of which a condition chooses one (`Placement.variant`).
+        link: The link whose frame is tracked, e.g. the bowl, the pad, the button.
+        driven: Names of the joints that motors drive; empty for scenery that never moves.
+        spring: The one joint that a spring holds, if any.
         lateral_friction: Coulomb coefficient.
-        rolling_friction: Bullet's rolling friction, a torque arm in metres.
+        rolling_friction: Bullet's rolling friction, a friction length in metres.
     """
 
     name: str
@@ -70,38 +70,37 @@ class FixtureSpec:
 
     def __post_init__(self) -> None:
         check_name("FixtureSpec: name", self.name, taken=RESERVED)
-        what = f"Fixture {self.name!r}"
+        place = f"Fixture {self.name!r}"
         for name in ("urdf", "driven"):
             if not isinstance(getattr(self, name), str):
-                object.__setattr__(self, name, check_tuple(f"{what}: {name}", getattr(self, name), str))
+                object.__setattr__(self, name, check_tuple(f"{place}: {name}", getattr(self, name), str))
         if isinstance(self.driven, str):
-            raise ValueError(f"{what}: driven is {self.driven!r}; it must be a tuple: ({self.driven!r},).")
-        check_kind(f"{what}: spring", self.spring, (Spring, type(None)))
-        check_text(f"{what}: link", self.link)
-        _check_friction(what, self, "lateral_friction", "rolling_friction")
+            raise ValueError(f"{place}: driven is {self.driven!r}; it must be a tuple: ({self.driven!r},).")
+        check_kind(f"{place}: spring", self.spring, (Spring, type(None)))
+        check_text(f"{place}: link", self.link)
+        _check_friction(place, self, "lateral_friction", "rolling_friction")
         if not self.urdfs:
-            raise ValueError(f"{what} has no URDF.")
-        held = [self.spring.joint] if self.spring else []
-        moved = [*self.driven, *held]
+            raise ValueError(f"{place} has no URDF.")
+        moved = [*self.driven, self.spring.joint] if self.spring else [*self.driven]
         if twice := [joint for joint in moved if moved.count(joint) > 1]:
-            raise ValueError(f"{what}: the joint {twice[0]!r} is named twice among driven and the spring's.")
+            raise ValueError(f"{place}: the joint {twice[0]!r} is named twice among driven and the spring's.")
         for urdf in self.urdfs:
-            links, joints = _read(what, urdf)
+            links, joints = _read(place, urdf)
             if self.link not in links:
-                raise ValueError(f"{what}: {urdf} has no link {quoted(self.link)}; it has {sorted(links)}.")
+                raise ValueError(f"{place}: {urdf} has no link {quoted(self.link)}; it has {sorted(links)}.")
             for joint in moved:
                 if joint not in joints:
-                    raise ValueError(f"{what}: {urdf} has no joint {joint!r}; it has {sorted(joints)}.")
+                    raise ValueError(f"{place}: {urdf} has no joint {joint!r}; it has {sorted(joints)}.")
                 if joints[joint] == "fixed":
-                    raise ValueError(f"{what}: the joint {joint!r} of {urdf} is fixed, so nothing can move it.")
+                    raise ValueError(f"{place}: the joint {joint!r} of {urdf} is fixed, so nothing can move it.")
 
     @property
     def urdfs(self) -> tuple[str, ...]:
-        """All variants."""
+        """The files of all variants."""
         return (self.urdf,) if isinstance(self.urdf, str) else self.urdf
 
     def check_placement(self, placement: Placement) -> None:
-        """Raise ValueError unless a placement picks a variant that exists and drives only joints that are driven."""
+        """Raise ValueError unless a placement chooses a variant that exists, and drives only joints in `driven`."""
         if placement.variant >= len(self.urdfs):
             raise ValueError(f"Fixture {self.name!r} has no variant {placement.variant}; it has {len(self.urdfs)}.")
         if unknown := sorted(set(placement.drives) - set(self.driven)):
@@ -116,8 +115,8 @@ class BodySpec:
         name: Its name in `SceneState.objects`.
         urdf: Its file below `assets/`.
         lateral_friction: Coulomb coefficient.
-        rolling_friction: Bullet's rolling friction, a torque arm in metres. Below 2e-4 m rolling is unstable.
-        spinning_friction: Torque arm in metres. Above zero it speeds up rolling bodies: leave it.
+        rolling_friction: Bullet's rolling friction, a friction length in metres. Below 2e-4 m rolling is unstable.
+        spinning_friction: Friction length in metres. Leave it at zero: above, Bullet accelerates rolling bodies.
     """
 
     name: str
@@ -129,9 +128,9 @@ class BodySpec:
 
     def __post_init__(self) -> None:
         check_name("BodySpec: name", self.name, taken=RESERVED)
-        what = f"Body {self.name!r}"
-        _check_friction(what, self, "lateral_friction", "rolling_friction", "spinning_friction")
-        _read(what, self.urdf)
+        place = f"Body {self.name!r}"
+        _check_friction(place, self, "lateral_friction", "rolling_friction", "spinning_friction")
+        _read(place, self.urdf)
 
     def check_launch(self, launch: Launch) -> None:
         """Raise ValueError if a launch turns a joint that the body's URDF lacks."""
@@ -145,13 +144,13 @@ class SceneSpec:
     """The physical scene of a task.
 
     Attributes:
-        bodies: The free bodies; the table and the robot are always there.
-        launch: Turns a condition into the start of every free body and the placement of every fixture. A module-level
-            function, so that it pickles.
+        bodies: The free bodies; robot and table are in every scene.
+        launch: Returns for a condition the start of every free body and the placement of every fixture. It must be a
+            module-level function, so that it can be pickled.
         fixtures: Bodies on a fixed base.
-        physics_dt: Seconds of one physics substep.
+        physics_dt: Seconds of one substep.
         control_dt: Seconds of one control step, a whole multiple of `physics_dt`.
-        solver_iterations: Of Bullet's contact solver.
+        solver_iterations: Iterations of Bullet's contact solver.
         finger_friction: Coulomb coefficient of the finger pads.
     """
 
@@ -166,7 +165,7 @@ class SceneSpec:
     def __post_init__(self) -> None:
         object.__setattr__(self, "bodies", check_tuple("SceneSpec: bodies", self.bodies, BodySpec))
         object.__setattr__(self, "fixtures", check_tuple("SceneSpec: fixtures", self.fixtures, FixtureSpec))
-        check_callable("SceneSpec: launch", self.launch, such_as="a function of a condition")
+        check_callable("SceneSpec: launch", self.launch, expected="a function of a condition")
         if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
             raise ValueError(
                 f"SceneSpec: several bodies or fixtures are called {twice[0]!r}; each has a name of its own."
@@ -174,7 +173,7 @@ class SceneSpec:
         if not self.tracked:
             raise ValueError("SceneSpec: nothing in the scene moves; give it bodies, or fixtures with a joint.")
         check_number("SceneSpec: physics_dt", self.physics_dt, above=0.0)
-        check_number("SceneSpec: control_dt", self.control_dt, above=0.0, most=LONGEST_STEP)
+        check_number("SceneSpec: control_dt", self.control_dt, above=0.0, most=MAX_CONTROL_DT)
         ratio = self.control_dt / self.physics_dt
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise ValueError(
@@ -185,16 +184,17 @@ class SceneSpec:
         _check_friction("SceneSpec", self, "finger_friction")
 
     def starts(self, condition: Condition) -> Mapping[str, Launch | Placement]:
-        """Ask `launch` how a condition starts: a Launch for every body, a Placement for every fixture.
+        """Return what `launch` returns for a condition: a Launch for every body and a Placement for every fixture.
 
         Raises:
-            ValueError: `launch` raises, leaves one out, names one that the scene lacks, or says something else of it.
+            ValueError: It raises, leaves a body or fixture out, names one that is not in the scene, or returns anything
+                else for one.
         """
         name = getattr(self.launch, "__qualname__", type(self.launch).__name__)
         who = "launch" if name == "launch" else f"launch ({name})"
         try:
             starts = self.launch(condition)
-        except Exception as error:  # a task's own code: whatever it raises is told with its place
+        except Exception as error:  # user-defined code: whatever it raises is reported with its place
             key = error.args[0] if isinstance(error, KeyError) and error.args else ""
             hint = f" It has {sorted(condition.values)}.{close_match(key, condition.values)}" if key else ""
             raise ValueError(
@@ -209,11 +209,11 @@ class SceneSpec:
 
     def _check_start(self, who: str, name: str, start: Launch | Placement) -> None:
         if name not in self.names:
-            there = ", ".join(map(repr, self.names))
-            raise ValueError(f"{who} starts {name!r}; the scene has {there}.{close_match(name, self.names)}")
+            known = ", ".join(map(repr, self.names))
+            raise ValueError(f"{who} starts {name!r}; the scene has {known}.{close_match(name, self.names)}")
         fixture = next((fixture for fixture in self.fixtures if fixture.name == name), None)
-        what = f"{who}: the start of {'the body' if fixture is None else 'the fixture'} {name!r}"
-        check_kind(what, start, Launch if fixture is None else Placement)
+        place = f"{who}: the start of {'the body' if fixture is None else 'the fixture'} {name!r}"
+        check_kind(place, start, Launch if fixture is None else Placement)
         if fixture is not None and isinstance(start, Placement):
             fixture.check_placement(start)
 
@@ -230,46 +230,46 @@ class SceneSpec:
 
     @property
     def substeps(self) -> int:
-        """Physics substeps in one control step."""
+        """Number of substeps in one control step."""
         return round(self.control_dt / self.physics_dt)
 
     @property
     def fps(self) -> int:
-        """Control steps a second, a whole number as films and datasets have it."""
+        """Control steps per second, rounded to a whole number for films and datasets."""
         return round(1 / self.control_dt)
 
 
-def _check_friction(what: str, spec: object, *names: str) -> None:
+def _check_friction(place: str, spec: object, *names: str) -> None:
     for name in names:
-        check_number(f"{what}: {name}", getattr(spec, name), least=0.0)
+        check_number(f"{place}: {name}", getattr(spec, name), least=0.0)
 
 
-def _read(what: str, urdf: str) -> tuple[set[str], dict[str, str]]:
-    """Return what `check_urdf` does; a refusal names the thing that the URDF is for."""
-    check_text(f"{what}: urdf", urdf)
+def _read(place: str, urdf: str) -> tuple[set[str], dict[str, str]]:
+    """Return what `check_urdf` does; errors name the body or fixture that the URDF belongs to."""
+    check_text(f"{place}: urdf", urdf)
     try:
         return check_urdf(asset_path(urdf))
     except (ValueError, FileNotFoundError) as error:
-        raise type(error)(f"{what}: urdf: {error}") from error
+        raise type(error)(f"{place}: urdf: {error}") from error
 
 
 def check_urdf(path: Path) -> tuple[set[str], dict[str, str]]:
-    """Make sure that a URDF is XML with one root link, since Bullet itself crashes on one with more.
+    """Check that a URDF is XML with one root link, since Bullet itself crashes if there are several.
 
     Returns:
-        The names of its links, and its joints' names with their types.
+        The names of its links, and the types of its joints by their names.
 
     Raises:
-        ValueError: It is not; names the file.
+        ValueError: It is not; the message names the file.
     """
     try:
         robot = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
-        raise ValueError(f"{path} is no XML, so no URDF: {error}.") from error
+        raise ValueError(f"{path} is not XML, hence not a URDF: {error}.") from error
     links = {link.get("name", "") for link in robot.findall("link")}
     roots = links - {child.get("link") for child in robot.findall("joint/child")}
     if len(roots) != 1:
-        raise ValueError(f"{path} is no URDF that can be loaded: it has {len(roots)} root links, and needs one.")
+        raise ValueError(f"{path} is not a URDF that can be loaded: it has {len(roots)} root links, and needs one.")
     return links, {joint.get("name", ""): joint.get("type", "") for joint in robot.findall("joint")}
 
 

@@ -1,4 +1,4 @@
-"""How a condition starts what a scene holds: plain data that `launch` returns."""
+"""How a condition starts the bodies and fixtures of a scene: plain data that `launch` returns."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from dynaforge.sim.checks import check_kind, check_number, check_pose, check_who
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Launch:
-    """How one free body starts: afterwards physics alone moves it.
+    """The start of one free body; afterwards only physics moves it.
 
     Attributes:
         pose: `T_world_body` at t = 0.
         velocity: Linear velocity of the centre of mass, world frame, m/s, shape (3,).
         angular_velocity: World frame, rad/s, shape (3,).
-        mass: Kilograms, of the root link.
-        joint_speeds: Rates at t = 0 of joints that turn freely (wheels), rad/s; a joint not named stands still.
+        mass: Mass of the root link, kilograms.
+        joint_speeds: Speeds at t = 0 of joints that turn freely (wheels), rad/s; other joints stand still.
     """
 
     pose: Pose
@@ -42,16 +42,16 @@ class Launch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drive:
-    """How a joint motor moves one joint of a fixture: steadily, to and fro, or both.
+    """How a motor moves one joint of a fixture: steadily, to and fro, or both.
 
-    q(t) = start + rate t + amplitude (sin(w t + phase) - sin(phase)).
+    q(t) = start + rate t + amplitude (sin(w t + phase) - sin(phase)), where w is `frequency`.
 
     Attributes:
         start: Position at t = 0, rad or m.
         rate: Constant part of the speed, rad/s or m/s.
-        amplitude: Of the swing to and fro, rad or m.
-        frequency: w, rad/s; the swing's peak speed is amplitude * frequency.
-        phase: Where in its swing it starts, rad.
+        amplitude: Amplitude of the swing to and fro, rad or m.
+        frequency: Angular frequency of the swing, rad/s; its peak speed is amplitude * frequency.
+        phase: Phase of the swing at t = 0, rad.
     """
 
     start: float = 0.0
@@ -65,12 +65,12 @@ class Drive:
             check_number(f"Drive: {part.name}", getattr(self, part.name))
 
     def position(self, time: float) -> float:
-        """Where the joint should be, rad or m."""
+        """Return where the joint should be at a time (s), rad or m."""
         swing = math.sin(self.frequency * time + self.phase) - math.sin(self.phase)
         return self.start + self.rate * time + self.amplitude * swing
 
     def speed(self, time: float) -> float:
-        """How fast it should move, rad/s or m/s."""
+        """Return how fast the joint should move at a time (s), rad/s or m/s."""
         return self.rate + self.amplitude * self.frequency * math.cos(self.frequency * time + self.phase)
 
 
@@ -80,8 +80,8 @@ class Placement:
 
     Attributes:
         pose: `T_world_base` for the whole episode.
-        drives: Joint name to its drive; a driven joint not named stays at 0.
-        variant: Which of the fixture's URDFs stands there.
+        drives: Joint name to its drive; a driven joint that is not named stays at 0.
+        variant: Index of the fixture's URDF that is used.
     """
 
     pose: Pose

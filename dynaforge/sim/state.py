@@ -1,4 +1,4 @@
-"""A frozen snapshot of the scene: predicates, planners and observations read only this."""
+"""A frozen snapshot of the scene, the only thing that predicates, planners and observations read."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class BodyColumn(NamedTuple):
     """One quantity of a body, in world coordinates.
 
     Attributes:
-        size: How many numbers.
-        unit: SI unit, "-" for none.
-        meaning: One sentence.
+        size: Number of components.
+        unit: SI unit; "-" for none.
+        meaning: What it is, in one sentence.
     """
 
     size: int
@@ -32,17 +32,17 @@ BODY_COLUMNS: Mapping[str, BodyColumn] = MappingProxyType(
         "angular_velocity": BodyColumn(3, "rad/s", "Angular velocity."),
     }
 )
-"""What recordings, observations and exports hold of a body, in this order; `BodyState.columns` holds the values."""
+"""What recordings, observations and exports store of a body, in this order; `BodyState.columns` returns the values."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyState:
-    """Pose and twist of one body.
+    """Pose and velocities of one body.
 
     Attributes:
         pose: `T_world_body`.
         velocity: Linear velocity of its centre of mass, world frame, m/s, shape (3,).
-        angular_velocity: World frame, rad/s, shape (3,).
+        angular_velocity: Angular velocity, world frame, rad/s, shape (3,).
     """
 
     pose: Pose
@@ -67,10 +67,10 @@ class SceneState:
         q, dq: Measured arm joint positions (rad) and velocities (rad/s), shape (7,).
         ee: `T_world_ee`, measured.
         width: Measured opening between the fingers, metres.
-        objects: Free bodies and fixtures (their tracked link) by name.
-        touching: For each of them, whether the left and the right finger touch it.
+        objects: Free bodies, and the tracked links of fixtures, by name.
+        touching: For each of these, whether the left and the right finger touch it.
         on_table: For each free body, whether it touches the table.
-        stopped: Whether the robot stopped itself because a joint became too fast.
+        stopped: Whether the robot stopped itself because a joint moved too fast.
         pressed: For each fixture with a spring, how far it is pressed in, metres.
     """
 

@@ -67,8 +67,8 @@ class Phase:
         place = f"Phase {self.name!r}"
         check_choice(f"{place}: mode", self.mode, tuple(Mode))
         object.__setattr__(self, "mode", Mode(self.mode))
-        check_callable(f"{place}: target", self.target, such_as='a target, such as Above("can", 0.1)')
-        check_callable(f"{place}: done", self.done, such_as=PREDICATE_EXAMPLE)
+        check_callable(f"{place}: target", self.target, expected='a target, such as Above("can", 0.1)')
+        check_callable(f"{place}: done", self.done, expected=PREDICATE_EXAMPLE)
         check_number(f"{place}: width", self.width, least=0.0, most=HAND_WIDTH)
         check_number(f"{place}: timeout", self.timeout, above=0.0)
         check_number(f"{place}: hold", self.hold, least=0.0)
@@ -82,7 +82,7 @@ class Phase:
                 f"{place}: hold {self.hold:g} s is not below its timeout {self.timeout:g} s, so it can never be done."
             )
         if self.track_until is not None:
-            check_callable(f"{place}: track_until", self.track_until, such_as=PREDICATE_EXAMPLE)
+            check_callable(f"{place}: track_until", self.track_until, expected=PREDICATE_EXAMPLE)
         for name, value in (("gate", self.gate), ("track_until", self.track_until)):
             if value and self.mode is Mode.GLOBAL:
                 raise ValueError(
@@ -106,5 +106,5 @@ def check_endings(what: str, value: Any) -> tuple[Ending, ...]:
         raise ValueError(f'{what} is {quoted(value)}; it must be a tuple of pairs: (("dropped", Fallen("can")),).')
     for reason, predicate in value:
         check_text(f"{what}: a reason", reason)
-        check_callable(f"{what}: the predicate of {reason!r}", predicate, such_as=PREDICATE_EXAMPLE)
+        check_callable(f"{what}: the predicate of {reason!r}", predicate, expected=PREDICATE_EXAMPLE)
     return tuple(value)

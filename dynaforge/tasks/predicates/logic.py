@@ -32,7 +32,7 @@ class All:
                 f"All: parts is {quoted(self.parts)}; it must be a tuple of predicates: All((Reached(0.03),))."
             )
         for part in self.parts:
-            check_callable("All: one of parts", part, such_as=PREDICATE_EXAMPLE)
+            check_callable("All: one of parts", part, expected=PREDICATE_EXAMPLE)
         object.__setattr__(self, "parts", tuple(self.parts))
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
@@ -46,7 +46,7 @@ class Not:
     part: Predicate
 
     def __post_init__(self) -> None:
-        check_callable("Not: part", self.part, such_as=PREDICATE_EXAMPLE)
+        check_callable("Not: part", self.part, expected=PREDICATE_EXAMPLE)
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         return not self.part(view, target)
