@@ -156,7 +156,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     ),
     "mass": (lambda: started(mass=-0.1), ("Launch: mass is -0.1", "above 0")),
     "velocity": (lambda: started(velocity=np.array((0.0, NAN, 0.0))), ("Launch: velocity", "nan")),
-    "pose": (lambda: started(pose=Pose(np.zeros((3, 3)), STILL)), ("Launch: pose.rotation", "no rotation matrix")),
+    "pose": (lambda: started(pose=Pose(np.zeros((3, 3)), STILL)), ("Launch: pose.rotation", "not a rotation matrix")),
     "pose place": (lambda: Placement(Pose(np.eye(3), np.zeros(2))), ("Placement: pose.position", "(3,)")),
     "swing": (lambda: Drive(rate=NAN), ("Drive: rate is nan",)),
     "drives": (lambda: Placement(Pose.identity(), {"turn": 3.0}), ("Placement: drives['turn'] is 3.0", "Drive")),
