@@ -1,4 +1,4 @@
-"""Demonstrations of dynamic manipulation: a planning prior, a learned residual, FrontierGRPO.
+"""Demonstrations of dynamic manipulation: a planner, a learned residual, FrontierGRPO.
 
 Importing this package registers `DynaForge/<Task>-v0` (residual action) and `DynaForge/<Task>Task-v0` (absolute
 action) with Gymnasium, and those of the task files that the environment variable DYNAFORGE_TASKS lists.

@@ -53,7 +53,7 @@ def check(options: argparse.Namespace) -> None:
 
 
 COMMAND = Command(
-    text="from nothing to demonstrations: measure the prior, train, measure again, collect, report",
+    text="from nothing to demonstrations: measure the planner, train, measure again, collect, report",
     examples=("forge --task can", "forge --task peach --budget 30m --demos 200 --out runs/peach"),
     add=add,
     check=check,
