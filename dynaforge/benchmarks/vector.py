@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from dynaforge.benchmarks.episodes import BusyLoopEnv, HashingEnv
 from dynaforge.benchmarks.figure import Figure, spread, tracked
@@ -93,7 +94,6 @@ def overhead_and_gain(
     one = make()
     env = SharedMemoryVecEnv([_Timed(make)] * n_envs, n_workers=n_workers)
     overheads, gains = [], []
-    n_alone = n_steps * n_envs // n_workers
     try:
         rng = np.random.default_rng(0)
         actions = rng.uniform(-1, 1, (n_steps, n_envs, *(one.action_space.shape or ()))).astype(np.float32)
@@ -103,21 +103,34 @@ def overhead_and_gain(
         for action in actions[:10]:
             env.step(action)
         for _ in tracked(range(rounds), title, total=rounds):
-            wall, cpu = time.perf_counter(), time.process_time()
-            for k in range(n_alone):
-                if any(one.step(actions[k % n_steps, k % n_envs])[2:4]):
-                    one.reset()
-            alone = (time.perf_counter() - wall) / n_alone, (time.process_time() - cpu) / n_alone
-            wall, cpu = time.perf_counter(), _processor_time(env)
-            for action in actions:
-                env.step(action)
-            together = (time.perf_counter() - wall, _processor_time(env) - cpu)
-            overheads.append(together[1] / (n_steps * n_envs) - alone[1])
-            gains.append(alone[0] * n_steps * n_envs / together[0])
+            single_wall, single_cpu = _cost_of_single(one, actions, n_steps * n_envs // n_workers)
+            wall, cpu = _cost_of_vectorised(env, actions)
+            overheads.append(cpu - single_cpu)
+            gains.append(single_wall / wall)
     finally:
         one.close()
         env.close()
     return overheads, gains
+
+
+def _cost_of_single(env: gym.Env[Any, Any], actions: NDArray[np.float32], n: int) -> tuple[float, float]:
+    """Make n steps in this process; return wall and CPU seconds per step."""
+    n_steps, n_envs = actions.shape[:2]
+    wall, cpu = time.perf_counter(), time.process_time()
+    for k in range(n):
+        _, _, terminated, truncated, _ = env.step(actions[k % n_steps, k % n_envs])
+        if terminated or truncated:
+            env.reset()
+    return (time.perf_counter() - wall) / n, (time.process_time() - cpu) / n
+
+
+def _cost_of_vectorised(env: SharedMemoryVecEnv, actions: NDArray[np.float32]) -> tuple[float, float]:
+    """Step all envs through the actions, shape (T, n_envs, d); return wall and CPU seconds per env step."""
+    n = actions.shape[0] * actions.shape[1]
+    wall, cpu = time.perf_counter(), _processor_time(env)
+    for action in actions:
+        env.step(action)
+    return (time.perf_counter() - wall) / n, (_processor_time(env) - cpu) / n
 
 
 class _Timed:

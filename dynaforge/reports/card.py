@@ -20,6 +20,32 @@ from dynaforge.reports.video import contact_sheet
 from dynaforge.tasks import Task
 
 SHEET = "contact.png"
+CARD = """---
+license: {licence}
+task_categories: [robotics]
+tags: [{tags}]
+---
+
+# {title}
+
+{picture}
+
+{description}
+
+| | |
+|---|---|
+{table}
+
+Made with
+
+```
+{command}
+```
+
+```
+{rates}
+```
+"""
 SHEET_EPISODES, SHEET_MOMENTS = 4, 4  # rows and columns of the contact sheet
 
 
@@ -83,34 +109,16 @@ def write_card(
         "licence": licence,
         "versions": "; ".join(sorted({episode.versions for episode in episodes})),
     }
-    table = "\n".join(f"| {name} | {value} |" for name, value in rows.items())
-    rates = "\n".join(report.table() for report in reports)
-    text = f"""---
-license: {licence.lower()}
-task_categories: [robotics]
-tags: [dynaforge, {task.name}, simulation{", LeRobot" if layout == "lerobot" else ""}]
----
-
-# {task.env_name}: {len(episodes)} demonstrations of dynamic manipulation
-
-{"" if problem else f"![contact sheet]({SHEET})"}
-
-{task.motion} {task.goal}
-
-| | |
-|---|---|
-{table}
-
-Made with
-
-```
-{command}
-```
-
-```
-{rates}
-```
-"""
+    text = CARD.format(
+        licence=licence.lower(),
+        tags=f"dynaforge, {task.name}, simulation" + (", LeRobot" if layout == "lerobot" else ""),
+        title=f"{task.env_name}: {len(episodes)} demonstrations of dynamic manipulation",
+        picture="" if problem else f"![contact sheet]({SHEET})",
+        description=f"{task.motion} {task.goal}",
+        table="\n".join(f"| {name} | {value} |" for name, value in rows.items()),
+        command=command,
+        rates="\n".join(report.table() for report in reports),
+    )
     atomic_write(folder / "README.md", text.encode())
     return problem
 

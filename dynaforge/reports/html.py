@@ -128,7 +128,7 @@ def script_data(value: Any) -> Any:
         ImportError: MarkupSafe, of the `[report]` extra, is missing.
         ValueError: A number is infinite or NaN.
     """
-    # "</script>" would end the element, "<!--" and "<script" would keep its end from being seen.
+    # "</script>" would end the element; "<!--" and "<script" would hide its end from the browser.
     return load_extra("markupsafe").Markup(json.dumps(value, allow_nan=False).replace("<", "\\u003c"))
 
 

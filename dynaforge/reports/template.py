@@ -65,7 +65,7 @@ FIGURE = """<figure class="card"><img src="{{ figure.image | image_url }}" alt="
 """
 
 PAGE = (
-    """{% macro told(outcome) -%}
+    """{% macro describe(outcome) -%}
 {% if outcome.success %}<span class="good">✓ success</span>
 {%- else %}<span class="bad">✗ {{ outcome.failure }}</span>
 {%- endif %}
@@ -122,7 +122,7 @@ PAGE = (
 <div class="clips">
 {% for clip in data.clips %}
 <figure class="card"><video controls muted loop playsinline preload="metadata" src="{{ clip.mp4 | video_url }}"></video>
-<figcaption>{{ told(clip.outcome) }}
+<figcaption>{{ describe(clip.outcome) }}
 · {{ clip.caption }}<br><code>{{ clip.condition_id }}</code></figcaption></figure>
 {% endfor %}
 </div>
@@ -151,12 +151,12 @@ PAGE = (
 <div class="scroll" tabindex="0"><table>
 <tr><th>condition</th><th class="text">generator</th><th>difficulty</th>
 <th class="text">outcome</th><th class="text">phase</th><th>checkpoint</th><th>duration</th></tr>
-{% for one in shown %}
-<tr><td><code>{{ one.condition.id }}</code></td><td class="text">{{ one.generator }}</td>
-<td>{{ "%.3g" | format(one.difficulty) }}</td>
-<td class="text">{{ told(one.outcome) }}</td>
-<td class="text">{{ one.outcome.phase }}</td><td>{{ one.outcome.checkpoint }}</td>
-<td>{{ "%.2f" | format(one.duration) }} s</td></tr>
+{% for attempt in shown %}
+<tr><td><code>{{ attempt.condition.id }}</code></td><td class="text">{{ attempt.generator }}</td>
+<td>{{ "%.3g" | format(attempt.difficulty) }}</td>
+<td class="text">{{ describe(attempt.outcome) }}</td>
+<td class="text">{{ attempt.outcome.phase }}</td><td>{{ attempt.outcome.checkpoint }}</td>
+<td>{{ "%.2f" | format(attempt.duration) }} s</td></tr>
 {% endfor %}
 </table></div></details>
 </section>

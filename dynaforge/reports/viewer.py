@@ -18,13 +18,13 @@ from dynaforge.reports.viewer_summary import STRATA, strata, summarise
 from dynaforge.reports.viewer_template import VIEWER
 from dynaforge.tasks import Task
 
-PLOTS = (
-    ("end effector, m", "ee_position", ("x", "y", "z")),
-    ("joints, rad", "q", tuple(f"joint {k}" for k in range(1, 8))),
-    ("joint speeds, rad/s", "dq", tuple(f"joint {k}" for k in range(1, 8))),
-    ("gripper, m", ("width", "width_reference"), ("measured", "asked for")),
-    ("residual as applied, m and rad", "residual_action", ("x", "y", "z", "rot x", "rot y", "rot z", "width")),
-    ("planned position, m", "planner_action", ("x", "y", "z")),
+PLOTS = (  # title, columns of the recording, labels of the lines
+    ("end effector, m", ("ee_position",), ("x", "y", "z")),
+    ("joints, rad", ("q",), tuple(f"joint {k}" for k in range(1, 8))),
+    ("joint speeds, rad/s", ("dq",), tuple(f"joint {k}" for k in range(1, 8))),
+    ("gripper, m", ("width", "width_reference"), ("measured", "commanded")),
+    ("residual as applied, m and rad", ("residual_action",), ("x", "y", "z", "rot x", "rot y", "rot z", "width")),
+    ("planned position, m", ("planner_action",), ("x", "y", "z")),
 )
 
 
@@ -121,9 +121,9 @@ def _recording(viewed: ViewerEpisode, episode: Episode) -> dict[str, Any]:
     steps = episode.steps
     plots = []
     for title, names, labels in PLOTS:
-        columns = [steps[name] for name in ((names,) if isinstance(names, str) else names) if name in steps]
+        columns = [steps[name] for name in names if name in steps]
         if columns:
-            table = np.column_stack([c.reshape(len(c), -1) for c in columns])[:, : len(labels)]
+            table = np.column_stack([column.reshape(len(column), -1) for column in columns])[:, : len(labels)]
             plots.append({"title": title, "labels": labels[: table.shape[1]], "lines": _rounded(table.T)})
     for key in steps:
         if key.startswith(("object/", "fixture/")) and key.endswith("/position"):
