@@ -1,1 +1,1 @@
-"""The `dynaforge` command, one module a subcommand."""
+"""The `dynaforge` command, with one module per subcommand."""

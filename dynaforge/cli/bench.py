@@ -1,4 +1,4 @@
-"""`dynaforge bench`: the project's figures of speed, exactness and limits, measured on this machine."""
+"""`dynaforge bench`: the project's figures of speed, determinism and limits, measured on this machine."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from dynaforge.files.versions import package_versions
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure and print the table; returns 1 when a figure is missed, else 0.
+    """Measure and print the table; return 1 when a figure is missed, else 0.
 
     Raises:
-        ValueError: An unknown task.
+        ValueError: A task is unknown.
         OSError: `--out` cannot be written.
     """
     tasks = chosen_tasks(options)
@@ -36,10 +36,10 @@ def run(options: argparse.Namespace) -> int:
         print(f"note: the load is {machine['load']:.1f}; figures of speed hold only where nothing else runs")
     start, figures = time.monotonic(), dict[str, list[Figure]]()
     for number, (task, name) in enumerate(product(tasks, chosen), 1):
-        what = name if len(tasks) == 1 else f"{task.name}: {name}"
-        print(f"[{number}/{len(tasks) * len(chosen)}] {what}", file=sys.stderr, flush=True)
+        title = name if len(tasks) == 1 else f"{task.name}: {name}"
+        print(f"[{number}/{len(tasks) * len(chosen)}] {title}", file=sys.stderr, flush=True)
         found = MEASUREMENTS[name](task, options.rounds)
-        figures[what] = found if len(tasks) == 1 else [replace(f, title=f"{task.name}: {f.title}") for f in found]
+        figures[title] = found if len(tasks) == 1 else [replace(f, title=f"{task.name}: {f.title}") for f in found]
     print(table([figure for found in figures.values() for figure in found]))
     if options.out is not None:
         atomic_write(options.out, json.dumps(_record(figures, options, machine), indent=1).encode())

@@ -1,4 +1,4 @@
-"""`dynaforge collect`: demonstrations into a folder; any interruption costs the attempts under way."""
+"""`dynaforge collect`: demonstrations into a folder; an interruption costs only the attempts in progress."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dynaforge.generators.ray_engine import connect_to_ray, run_attempts_on_ray
 
 
 def run(options: argparse.Namespace) -> int:
-    """Collect what is missing; returns 1 when that is not all that was asked for."""
+    """Collect what is missing; return 1 when that is less than was asked for."""
     goal = _goal(options)
     task = chosen_task(options)
     generator = generator_of(options.generator, task, options)
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
             print(f"\nstopped with {tally}; the same command resumes")
             return 130
         except GaveUp as error:
-            problem = f"{error}. Another --policy may win; --give-up-after N allows N of them, 0 any number"
+            problem = f"{error}. Another --policy may succeed; --give-up-after N allows N of them, 0 any number"
     minutes = (time.monotonic() - started) / 60
     print(f"{tally}, DGR {tally.rate:.1%}; {out}, {minutes:.1f} minutes")
     if not problem and goal.demos is not None and tally.successes < goal.demos:

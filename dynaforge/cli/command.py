@@ -1,4 +1,4 @@
-"""What makes a command: its arguments, their check, and the module that runs it."""
+"""A command: its arguments, their check, and the module that runs it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from dynaforge.options.parser import Parser
 
 
 def _do_nothing(_: argparse.ArgumentParser | argparse.Namespace) -> None:
-    """Add no argument; find no mistake."""
+    """Add no argument, or find no mistake."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """A command with arguments of its own.
+    """A command of ours, as opposed to rl_zoo3's.
 
     Attributes:
         text: What it does, in one line.
-        examples: Command lines that teach, without "dynaforge".
+        examples: Example command lines for its help, without "dynaforge".
         add: Adds its arguments to a parser.
         check: Checks the options together.
-        default_out: Returns what --out means where it is not given; it is then checked as if it had been given.
-        module: The module of `dynaforge.cli` whose `run` does the work; "" where it is called like the command.
+        default_out: Returns the default of --out, which is then checked as if it had been given.
+        module: The module of `dynaforge.cli` whose `run` does the work; "" if it has the name of the command.
     """
 
     text: str
@@ -44,10 +44,10 @@ class Command:
         return parser
 
     def read(self, name: str, arguments: Sequence[str]) -> argparse.Namespace:
-        """Return the options that arguments mean, each checked alone and all of them together.
+        """Return the options that the arguments mean, checked one by one and together.
 
         Raises:
-            ValueError: One is wrong, or they contradict each other; the message names the option.
+            ValueError: An option is wrong, or options contradict each other; the message names the option.
         """
         parser = self.parser(name)
         options: argparse.Namespace = parser.parse_args(arguments)

@@ -30,7 +30,7 @@ COMMANDS = {
     "compare": compare.COMMAND,
     "bench": bench.COMMAND,
 }
-"""Commands whose arguments we read."""
+"""Commands with arguments of our own."""
 
 ZOO = {
     "train": "rl_zoo3's train, with FrontierGRPO and the DynaForge envs registered",
@@ -41,4 +41,4 @@ ZOO = {
     "all_plots": "rl_zoo3's all_plots: evaluations of several runs",
     "plot_from_file": "rl_zoo3's plot_from_file: what all_plots has stored",
 }
-"""Commands of rl_zoo3, which reads their arguments."""
+"""Commands of rl_zoo3, which parses their arguments."""

@@ -17,7 +17,7 @@ from dynaforge.training.run_spec import Evaluation, RunSpec
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make the runs that are missing, then write table and report."""
+    """Make the runs that are missing, then write the table and the report."""
     specs = matrix(options)
     if options.report_only and not any(spec.finished for spec in specs):
         raise ValueError(
@@ -50,7 +50,7 @@ def matrix(options: argparse.Namespace) -> list[RunSpec]:
     """List the runs that the options ask for.
 
     Raises:
-        ValueError: Something unknown or out of range, said before any run is started.
+        ValueError: Something is unknown or out of range; this is raised before any run is started.
     """
     tasks = chosen_tasks(options)
     compared = compared_variants(options.algos, options.vary)

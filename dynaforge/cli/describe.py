@@ -1,4 +1,4 @@
-"""`dynaforge list` and `dynaforge describe`: what the task data says."""
+"""`dynaforge list` and `dynaforge describe`: tasks and their descriptions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dynaforge.tasks import get_task
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print one task, or all of them one per line; with `--out`, write pages and pictures."""
+    """List all tasks, one per line, or describe some; with `--out`, write pages and pictures."""
     if "task" not in options:
         for name in ENV_NAMES:
             task = get_task(name)

@@ -17,7 +17,7 @@ from dynaforge.tasks import Task
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and store.
+    """Measure, print and store the results.
 
     Raises:
         GaveUp: A generator only raises, so that there is nothing to measure.
@@ -50,20 +50,25 @@ def run(options: argparse.Namespace) -> int:
 
 
 def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generator:
-    """Make a generator as the options ask for it.
+    """Return the generator that the options describe.
+
+    Args:
+        name: Name of the generator.
+        task: What it attempts.
+        options: The options of the command, some of which are the generator's settings.
 
     Raises:
-        ValueError: A residual without a policy file, given or shipped, or with one that does not fit.
+        ValueError: A residual policy is neither given nor shipped, or does not fit the task.
     """
-    asked = {
+    settings = {
         key: value
         for key in ("policy", "sigma", "oracle_tries", "learner", "observations")
         if (value := getattr(options, key, None)) is not None
     }
     try:
-        return make_generator(name, task, **asked)
+        return make_generator(name, task, **settings)
     except ValueError as error:
-        raise ValueError(f"--policy: {error}" if "policy" in asked else str(error)) from error
+        raise ValueError(f"--policy: {error}" if "policy" in settings else str(error)) from error
 
 
 def _measured(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:

@@ -14,7 +14,7 @@ from dynaforge.reports.export import ExportOptions, export_dataset
 
 
 def run(options: argparse.Namespace) -> int:
-    """Export everything, whole or not at all."""
+    """Export the dataset, completely or not at all."""
     exporter(options.format)  # a missing library is reported before anything is read
     dataset, task = open_dataset(options)
     observations = _observations(options, dataset)
@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         privileged=True if options.privileged else None,
         failures=options.failures,
     )
-    shown = tqdm(frames, total=len(dataset), leave=False, unit="episode")
+    episodes = tqdm(frames, total=len(dataset), leave=False, unit="episode")
     settings = ExportOptions(
         layout=options.format,
         licence=options.license,
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
         replays=options.replays,
         observations=observations,
     )
-    result = export_dataset(dataset, task, shown, options.out, settings)
+    result = export_dataset(dataset, task, episodes, options.out, settings)
     size = sum(path.stat().st_size for path in options.out.rglob("*") if path.is_file())
     if result.no_sheet:
         print(f"no contact sheet: {result.no_sheet}")
@@ -48,11 +48,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _observations(options: argparse.Namespace, dataset: DemonstrationDataset) -> ObservationFolder | None:
-    """Open the rendered observations, as far as the format has a place for them.
+    """Return the rendered observations; None without any, or where the format cannot contain them.
 
     Raises:
-        ValueError: They were named, and the format has none.
-        FileNotFoundError: Not every episode is rendered.
+        ValueError: Observations were named, and the format cannot contain them.
+        FileNotFoundError: Not all episodes are rendered.
     """
     path = options.observations or options.folder / FOLDER
     if options.no_observations or (options.observations is None and not path.is_dir()):

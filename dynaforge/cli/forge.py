@@ -32,7 +32,7 @@ LABELS = {"planner_only": "planner only", "residual": "with residual"}
 
 
 def run(options: argparse.Namespace) -> int:
-    """Forge demonstrations, or resume what an interruption left; see the module's description."""
+    """Forge demonstrations, or resume an interrupted run of this command."""
     started = time.monotonic()
     task = chosen_task(options)
     if options.residual_frame is not None:
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _identity(task: Task, options: argparse.Namespace) -> dict[str, Any]:
-    """Return what identifies this run; how many workers make it may change."""
+    """Return what identifies this run; the number of workers does not."""
     settings = hyperparameters(options.algo, task.name)
     return asked_for(options) | {"task_definition": task_digest(task), "settings": settings}
 
@@ -103,7 +103,7 @@ def _identity(task: Task, options: argparse.Namespace) -> dict[str, Any]:
 def _measured(
     task: Task, generators: Sequence[Generator], stream: Stream, options: argparse.Namespace
 ) -> dict[str, Any]:
-    """Measure generators on the same conditions; returns plain data."""
+    """Measure generators on the same conditions, and return plain JSON data."""
     started = time.monotonic()
     total, workers = options.attempts, options.workers
     conditions = list(islice(task.conditions.stream(stream), total))

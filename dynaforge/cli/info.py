@@ -24,5 +24,5 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print(text: str) -> None:
-    """Print lines without what a terminal would obey: reasons and names may be a stranger's."""
+    """Print lines with control characters escaped, since reasons and names may come from a stranger."""
     print("\n".join(map(printable, text.split("\n"))))

@@ -22,12 +22,12 @@ from dynaforge.files.versions import PACKAGES, package_versions
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status.
 
-    A user's mistake ends in one line on stderr and status 2, before any long work; work that leads nowhere ends in one
-    with the reasons and status 1.
+    A user's mistake ends in one line on stderr and status 2, before any long work; work without a result ends in one
+    line with the reasons and status 1.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    # Read when numpy and torch are first imported, below. The cores belong to the workers: on networks as small as
-    # these, a second thread only takes a core away from them.
+    # Read when numpy and torch are first imported, below. On networks as small as these, a second thread would only
+    # take a core away from the workers.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     show_anything()
     if arguments and arguments[0] in ZOO:
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _zoo(arguments: Sequence[str]) -> int:
-    """Run a script of rl_zoo3; a mistake that keeps it from starting is status 2, as in the other commands."""
+    """Run a script of rl_zoo3; a mistake that keeps it from starting gives status 2, as in the other commands."""
     from dynaforge.zoo.refusals import ZooFailure
     from dynaforge.zoo.scripts import main as zoo
 
@@ -73,7 +73,7 @@ def _zoo(arguments: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _sigterm_as_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM, which a batch system sends before it kills, end a command as Ctrl-C does: cleaned up."""
+    """Make SIGTERM, which a batch system sends before it kills, end a command like Ctrl-C, so that it cleans up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -85,7 +85,7 @@ def _sigterm_as_ctrl_c() -> Iterator[None]:
 
 
 def _print_error(name: str, error: Exception, *, status: int) -> int:
-    """Print in one line on stderr what is wrong; returns the status."""
+    """Print the error in one line on stderr, and return the status."""
     message = re.sub(r"\s*[\r\n]\s*", " ", str(error).strip())
     print(f"dynaforge {name}: {message}{_remedy(error)}", file=sys.stderr)
     return status

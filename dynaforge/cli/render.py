@@ -16,7 +16,7 @@ from dynaforge.tasks import Task
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render what is missing; returns 1 where an episode could not be rendered."""
+    """Render what is missing; return 1 where an episode could not be rendered."""
     dataset, task = open_dataset(options)
     settings = _settings(options, task)
     if settings.points:
@@ -39,7 +39,7 @@ def _settings(options: argparse.Namespace, task: Task) -> ObservationSettings:
     """Return the settings that the options mean.
 
     Raises:
-        ValueError: A camera does not exist, or those of the file are wrong or not used.
+        ValueError: A camera does not exist, or the cameras of the file are malformed or not used.
     """
     own = _own_cameras(options.camera_file) if options.camera_file else {}
     known = standard_cameras(task) | own

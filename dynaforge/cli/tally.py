@@ -13,13 +13,18 @@ from dynaforge.generators.giving_up import describe_counts
 
 
 class Tally:
-    """Counts attempts and shows a bar: how many succeeded, and the commonest reasons of the failures."""
+    """Counts attempts and shows a bar with the successes and the commonest reasons of failures.
+
+    Args:
+        goal: The goal of collecting, from which the bar takes its length.
+        leave: Whether the bar stays on the screen at the end.
+    """
 
     def __init__(self, goal: Goal, *, leave: bool = True) -> None:
         self.successes = self.attempts = 0
         self.reasons: Counter[str] = Counter()
         self._counts_demos = goal.demos is not None
-        # miniters 0: an attempt that failed moves no bar of demonstrations, but what it says
+        # miniters 0, since a failed attempt does not advance a bar of demonstrations but changes its text
         self._bar: tqdm[Any] = tqdm(
             total=goal.demos or goal.attempts,
             unit="demo" if self._counts_demos else "attempt",
@@ -44,7 +49,7 @@ class Tally:
         return self.successes / max(self.attempts, 1)
 
     def add(self, attempt: Attempt) -> None:
-        """Count one."""
+        """Count an attempt."""
         self.successes, self.attempts = self.successes + attempt.success, self.attempts + 1
         if not attempt.success:
             self.reasons[attempt.failure] += 1

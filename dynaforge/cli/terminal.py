@@ -1,4 +1,4 @@
-"""What a terminal can show: text that its encoding lacks is written in ASCII, never an error."""
+"""Output on any terminal: characters that its encoding lacks are written in ASCII instead of raising an error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ HANDLER = "dynaforge.plain"
 
 
 def show_anything() -> None:
-    """Let stdout and stderr of this process take any text, closed as they may be."""
+    """Make stdout and stderr of this process accept any text, even if they are closed."""
     fill_standard_descriptors()
     sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
     sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
@@ -47,6 +47,6 @@ def show_anything() -> None:
 def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    lacking = error.object[error.start : error.end]
-    plain = (PLAIN.get(c) or c.encode("ascii", "backslashreplace").decode("ascii") for c in lacking)
+    missing = error.object[error.start : error.end]
+    plain = (PLAIN.get(c) or c.encode("ascii", "backslashreplace").decode("ascii") for c in missing)
     return "".join(plain), error.end

@@ -1,4 +1,4 @@
-"""`dynaforge verify`: is every byte, value, outcome and, with --replay, every attempt as it was recorded?"""
+"""`dynaforge verify`: checks of every byte, value and outcome and, with --replay, of every attempt."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from dynaforge.generators.recording_checks import VerifyOptions, check_recording
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check and print every finding; returns 1 when there is any."""
+    """Print every finding; return 1 when there is any."""
     dataset, task = open_dataset(options)
     notes, n_findings = read_notes(dataset), 0
-    wanted = VerifyOptions(
+    checks = VerifyOptions(
         folder=options.folder,
         task=task,
         notes=notes,
@@ -24,13 +24,13 @@ def run(options: argparse.Namespace) -> int:
         audit=options.audit,
         pictures=options.pictures,
     )
-    recordings = check_recordings(wanted, notes.names, workers=wanted.useful_workers(options.workers))
+    recordings = check_recordings(checks, notes.names, workers=checks.useful_workers(options.workers))
     checked = chain([verify_folder(dataset, notes, task)], recordings)
     for findings in tqdm(checked, total=len(notes.names) + 1, leave=False, unit="file"):
         for finding in findings:
             tqdm.write(str(finding))
         n_findings += len(findings)
-    how = "read and made again" if options.replay else "read"
-    counts = f"{len(notes.names)} episodes {how}, {len(notes.attempts)} attempts in the ledger"
+    treatment = "read and made again" if options.replay else "read"
+    counts = f"{len(notes.names)} episodes {treatment}, {len(notes.attempts)} attempts in the ledger"
     print(f"{counts}: {n_findings or 'no'} problems")
     return 1 if n_findings else 0

@@ -23,7 +23,7 @@ from dynaforge.reports.viewer_episodes import (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the page; returns 1 where a recording could not be shown as it should."""
+    """Write the page; return 1 where a recording could not be shown as it should."""
     dataset, task = open_dataset(options)
     attempts, recorded = dataset.attempts(), set(dataset.ids())
     chosen = spread_over_difficulties(attempts, recorded, options.limit)
@@ -36,8 +36,8 @@ def run(options: argparse.Namespace) -> int:
         observations=None if options.no_clips else _observations(options),
     )
     view.load_extras()
-    made = viewer_episodes(view, chosen, workers=options.workers)
-    episodes = list(tqdm(made, total=len(chosen), leave=False, unit="episode"))
+    shown = viewer_episodes(view, chosen, workers=options.workers)
+    episodes = list(tqdm(shown, total=len(chosen), leave=False, unit="episode"))
     noted = [episode for episode in episodes if episode.note]
     _refuse_a_page_without_clips(view, episodes, noted)
     view.page.parent.mkdir(parents=True, exist_ok=True)

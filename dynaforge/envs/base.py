@@ -1,4 +1,4 @@
-"""What the two envs of a task share: its world, its conditions, its picture, and checks of what callers pass."""
+"""What both envs of a task share: its world, its conditions, its pictures, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.camera import Visuals, film_camera
-from dynaforge.sim.checks import quoted
+from dynaforge.sim.checks import check_choice
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
 RenderMode = Literal["rgb_array", "human"]
 
 
 class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
-    """An env on a task's world; what an action means, and when an episode ends, is left to subclasses.
+    """An env in a task's world; subclasses define what an action means and when an episode ends.
 
     Args:
-        task: Task name or a Task.
+        task: A task, or its name.
         render_mode: None, "rgb_array" or "human".
-        visuals: Load visual shapes as for `SimScene`, besides what the render mode needs.
+        visuals: Which visual shapes to load, as in `SimScene`, besides those that the render mode needs.
 
     Raises:
-        ValueError: Unknown task or render mode.
+        ValueError: The task or the render mode is unknown.
         OSError: Mode "human" without a display.
     """
 
@@ -46,11 +46,11 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     @property
     def condition_sampler(self) -> ConditionSpace:
-        """Draws conditions and says how to reset to them."""
+        """The space of the task's conditions, which draws them and knows how to reset an env to them."""
         return self.task.conditions
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) uint8 image in mode "rgb_array"; Bullet's own window draws itself.
+        """Return an (H, W, 3) uint8 image in mode "rgb_array", else None; the window of mode "human" draws itself.
 
         Raises:
             RuntimeError: The env is closed.
@@ -70,10 +70,10 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
             raise RuntimeError("This env is closed; make a new one.")
 
     def _chosen(self, options: dict[str, Any] | None) -> Condition:
-        """Read the condition from reset options, or draw one; whether it is one of this task `World.reset` checks.
+        """Read the condition from reset options, or draw one; `World.reset` checks that it is one of this task.
 
         Raises:
-            ValueError: An unknown option, or something else than a condition.
+            ValueError: An option is unknown, or is not a condition.
             RuntimeError: The env is closed.
         """
         self._must_be_open()
@@ -90,10 +90,10 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         return condition
 
     def _checked(self, action: Any) -> Array:
-        """Return an action as numbers.
+        """Return an action as float64.
 
         Raises:
-            ValueError: Wrong shape, NaN or infinity.
+            ValueError: The shape is wrong, or a value is not finite.
             RuntimeError: No episode was started, or the env is closed.
         """
         self._must_be_open()
@@ -103,9 +103,3 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         if values.shape != self.action_space.shape or not is_finite(values):
             raise ValueError(f"Action must be {self.action_space.shape} finite numbers, got {action}.")
         return values
-
-
-def check_choice(name: str, value: str | None, known: tuple[str | None, ...]) -> None:
-    """Raise ValueError unless `value` is one of `known`."""
-    if not isinstance(value, (str, type(None))) or value not in known:
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {quoted(value)}.")

@@ -1,4 +1,4 @@
-"""Runs a task's phase program: which phase, which target, which gate, and how the episode ends."""
+"""The phase program of a task at work: which phase runs, with which target and gate, and how the episode ends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class PlannedAction:
         target: Desired pose of the end effector and opening of the fingers.
         gate: m of Eq. 5.
         phase: Index of the running phase.
-        sample: In a global phase the trajectory's sample, followed verbatim; else None, and IK tracks `target`.
+        sample: In a global phase, the sample of the trajectory, which is followed as it is; else None, and inverse
+            kinematics tracks `target`.
     """
 
     target: HandTarget
@@ -38,13 +39,13 @@ class PlannedAction:
 class PhaseExecutor:
     """Advances through the phase program and plans the next control step.
 
-    Call `reset` once and `advance` after every control step; then either `outcome` is set, or `action` is the plan
-    for the next control step.
+    Call `reset` once per episode and `advance` after every control step; then either `outcome` is set, or `action` is
+    the plan for the next control step.
 
     Args:
         task: The task whose program runs.
-        planner: Global planner for the stable phases.
-        control_dt: Seconds of a control step.
+        planner: The planner for phases of mode "global".
+        control_dt: Duration of a control step, seconds.
         lead_time: Seconds of constant-velocity prediction; the paper's prior has none.
     """
 
@@ -58,7 +59,13 @@ class PhaseExecutor:
         self._steps = 0
 
     def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
-        """Enter the first phase."""
+        """Enter the first phase.
+
+        Args:
+            state: The scene at t = 0.
+            condition: The condition of the episode.
+            reference: The joint reference; a global plan starts from it.
+        """
         self.outcome: Outcome | None = None
         self._seed = condition.seed
         self._start = state
@@ -67,11 +74,11 @@ class PhaseExecutor:
         self._enter(0, state, reference)
 
     def advance(self, state: SceneState, reference: JointReference) -> None:
-        """Judge the measured state, then plan the next control step or end the episode.
+        """Evaluate the predicates on the measured state, then plan the next control step or end the episode.
 
         Args:
             state: The scene after the control step.
-            reference: Where the joint command stands; a global plan starts from it.
+            reference: The joint reference; a global plan starts from it.
         """
         self._frames = heading_frames(state, self._frames)
         self._steps += 1
@@ -98,7 +105,7 @@ class PhaseExecutor:
 
     @property
     def phase_time_left(self) -> float:
-        """Share of the running phase's timeout that is left, in [0, 1]."""
+        """Fraction of the running phase's timeout that is left, in [0, 1]."""
         return 1.0 - self._steps * self._dt / self.phase.timeout
 
     @property
@@ -113,7 +120,7 @@ class PhaseExecutor:
 
     def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
         self.index = index
-        self._place = f"Phase {self.phase.name!r}"  # what a mistake in a word of it is told with
+        self._place = f"Phase {self.phase.name!r}"  # which the message of a mistake in one of its words begins with
         self._steps = 0
         self._hold = Hold(self.phase, control_dt=self._dt)
         self._entry, self._entry_frames = state, self._frames
@@ -126,7 +133,7 @@ class PhaseExecutor:
                 rng = np.random.default_rng((self._seed, index))
                 self._trajectory = self._planner.plan(reference.joints, self._target, rng=rng)
             except PlanFailure as failure:
-                self._plan(view)  # the last observation shows this phase and target, not those before
+                self._plan(view)  # so that the last observation shows this phase and target
                 return self._fail(f"plan failed: {failure.reason}")
         self._plan(view)
         return None

@@ -1,4 +1,4 @@
-"""What the residual policy sees: a short history of privileged state and a_plan, scaled to order one."""
+"""The observation of the residual policy: a short history of privileged states, and a_plan, scaled to order one."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from dynaforge.sim import RobotDescription, SceneState
 from dynaforge.tasks import Task
 
 HISTORY = 4  # control steps
-LIMIT = 10.0  # scaled features are clipped here
+LIMIT = 10.0  # to which scaled features are clipped
 
-# Of each other thing that moves, when a task has several: what is held, where it goes.
+# For each tracked body where a task has several, such as the grasped object and the place where it belongs.
 _PER_BODY = (("from_ee", 3, 0.2), ("velocity", 3, 1.0), ("axis", 3, 1.0))
 _PER_STEP = (("ee_from_object", 3, 0.1), ("object_velocity", 3, 1.0), ("width", 1, 0.08), ("touching", 2, 1.0))
 
 
 class ObservationBuilder:
-    """h_t and a_plan of Eq. 4 as one float32 vector.
+    """Builds h_t and a_plan of Eq. 4 as one float32 vector.
 
-    Vectors are expressed in the heading frame of the phase's object, so that "ahead" reads the same whichever way it
-    moves. Every feature is divided by a fixed scale: no running statistics.
+    Vectors are expressed in the heading frame of the phase's object, so that "ahead" means the same whichever way it
+    moves. Every feature is divided by a fixed scale; there are no running statistics.
+
+    Args:
+        task: The task.
+        robot: The robot, whose limits scale joint positions and velocities.
+        n_actions: Size of the residual action.
 
     Attributes:
         layout: (name, size, scale) of every part, in order.
@@ -48,7 +53,7 @@ class ObservationBuilder:
         self._scale = np.concatenate([np.full(size, scale) for _, size, scale in self.layout])
 
     def reset(self, state: SceneState) -> None:
-        """Start a history with copies of the first state."""
+        """Fill the history with the first state."""
         self._history.clear()
         self._history.extend([state] * HISTORY)
 
@@ -61,7 +66,7 @@ class ObservationBuilder:
 
         Args:
             executor: The running program, after its latest `advance`.
-            last_action: The residual action of the decision before, shape (n_actions,).
+            last_action: The residual action of the previous decision, shape (n_actions,).
         """
         frame, plan = executor.frame, executor.action
         to_frame = frame.rotation  # row vectors: v_frame = v_world @ R_world_frame
@@ -77,7 +82,7 @@ class ObservationBuilder:
         parts += (
             (state.ee.position - before.ee.position) @ to_frame / self._dt,
             body.angular_velocity @ to_frame,
-            *(part for name in self._others for part in self._seen(state, name, to_frame)),
+            *(part for name in self._others for part in _body_features(state, name, to_frame)),
             body.pose.position,
             (float(to_frame[0, 0]), float(to_frame[1, 0])),
             (plan.target.pose.position - state.ee.position) @ to_frame,
@@ -98,14 +103,15 @@ class ObservationBuilder:
         clipped: NDArray[np.float32] = np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
         return clipped
 
-    @staticmethod
-    def _seen(state: SceneState, name: str, to_frame: Array) -> tuple[Array, Array, Array]:
-        body = state.objects[name]
-        return (
-            (body.pose.position - state.ee.position) @ to_frame,
-            body.velocity @ to_frame,
-            body.pose.rotation[:, 2] @ to_frame,
-        )
+
+def _body_features(state: SceneState, name: str, to_frame: Array) -> tuple[Array, Array, Array]:
+    """Return the features `_PER_BODY` of a body."""
+    body = state.objects[name]
+    return (
+        (body.pose.position - state.ee.position) @ to_frame,
+        body.velocity @ to_frame,
+        body.pose.rotation[:, 2] @ to_frame,
+    )
 
 
 def observation_layout(task: Task, n_actions: int) -> tuple[tuple[str, int, float], ...]:
@@ -132,16 +138,16 @@ def observation_layout(task: Task, n_actions: int) -> tuple[tuple[str, int, floa
 
 
 def residual_sizes(task: Task) -> tuple[int, int]:
-    """Return how many numbers a task's residual policy reads and gives, without building the env."""
+    """Return the sizes of a task's observation and residual action, without making the env."""
     n_actions = sum(scale != 0.0 for scale in task.residual.scales)
     return sum(size for _, size, _ in observation_layout(task, n_actions)), n_actions
 
 
 def _others(task: Task) -> tuple[str, ...]:
-    """Name the bodies of which the observation tells besides the phase's object."""
+    """Return the names of the bodies that have features of their own: all tracked ones, where there are several."""
     return task.scene.tracked if len(task.scene.tracked) > 1 else ()
 
 
 def is_finite(values: NDArray[Any]) -> bool:
-    """Tell whether a short vector holds neither NaN nor infinity; on a few numbers faster than numpy."""
+    """Return whether a short vector contains neither NaN nor infinity; faster than numpy on a few numbers."""
     return math.isfinite(float(values.sum()))

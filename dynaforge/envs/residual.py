@@ -26,7 +26,7 @@ from dynaforge.planning import JointReference, LocalPlanner
 from dynaforge.sim import HandTarget
 from dynaforge.tasks import Frame, ResidualSpec
 
-ROUNDING = 1.0 + 1e-9  # of a residual at its bound
+ROUNDING = 1.0 + 1e-9  # factor by which rounding may take a residual beyond its bound
 
 
 class ResidualScale:
@@ -35,12 +35,12 @@ class ResidualScale:
     Dimensions of scale 0 are switched off: an action has no number for them.
 
     Args:
-        spec: The task's scales, and its frame.
-        frame: Overrides the task's own frame.
+        spec: The task's scales and frame.
+        frame: Replaces the task's own frame.
 
     Attributes:
         frame: "target" or "world".
-        size: How many numbers an action has.
+        size: Size of an action.
     """
 
     def __init__(self, spec: ResidualSpec, frame: Frame | None = None) -> None:
@@ -55,7 +55,7 @@ class ResidualScale:
 
         Args:
             action: a_res, shape (size,).
-            executor: Knows the running phase's share of the scales, and the heading of its object.
+            executor: The running program, which knows the phase's share of the scales and the heading of its object.
         """
         residual = np.zeros(7)
         residual[self._active] = executor.phase.residual_share * self._scales * action
@@ -66,10 +66,10 @@ class ResidualScale:
         return residual
 
     def nearest_possible(self, residual: Array, executor: PhaseExecutor) -> Array:
-        """Return the physical residual nearest to a given one that some action stands for now, shape (7,).
+        """Return the physical residual nearest to a given one that an action can cause now, shape (7,).
 
         Args:
-            residual: Such as `physical` returns, shape (7,); one that is possible is returned as it is.
+            residual: A residual such as `physical` returns, shape (7,); a possible one is returned as it is.
             executor: As for `physical`.
         """
         bound = executor.phase.residual_share * self._all
@@ -88,24 +88,24 @@ def gated(residual: Array | None, planned: PlannedAction) -> Array | None:
 
 
 def requested_target(planned: PlannedAction, residual: Array | None) -> HandTarget:
-    """Return the sum of Eq. 5: what is asked of the hand, whatever the limits will leave of it.
+    """Return the sum of Eq. 5, the target requested of the hand before it is projected.
 
     Args:
         planned: a_plan.
-        residual: As `gated` returns it, shape (7,); None leaves the plan as it is.
+        residual: The residual that `gated` returns, shape (7,); None leaves the plan as it is.
     """
     return planned.target if residual is None else planned.target.corrected(residual)
 
 
 def project(requested: HandTarget, planned: PlannedAction, local: LocalPlanner) -> JointReference:
-    """Return the projection of Eq. 5: what the limits leave of a requested target by the end of the control step.
+    """Return the projection of Eq. 5: the joint reference nearest to a requested target that the limits allow.
 
-    A sample of a global plan keeps all limits already, so it is followed as it is. Its phase has no gate.
+    A sample of a global plan is within all limits already, so it is followed as it is; the gate is closed in its phase.
 
     Args:
-        requested: As `requested_target` returns it.
+        requested: The target that `requested_target` returns.
         planned: a_plan; in a global phase it contains the sample.
-        local: Holds the joint reference and moves it.
+        local: The local planner, which moves the joint reference.
     """
     if planned.sample is not None:
         return local.follow(planned.sample, requested.width)

@@ -8,13 +8,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.envs.base import RenderMode, WorldEnv, check_choice
+from dynaforge.envs.base import RenderMode, WorldEnv
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.observation import LIMIT, ObservationBuilder, residual_sizes
 from dynaforge.envs.residual import ResidualScale
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_number
+from dynaforge.sim.checks import check_choice, check_number
 from dynaforge.tasks import FRAMES, Frame, Task, get_task
 
 Observation = NDArray[np.float32]
@@ -26,29 +26,29 @@ GATE_MODES: tuple[GateMode, ...] = get_args(GateMode)
 class ResidualEnv(WorldEnv):
     """A task with its planning prior inside: the action only corrects it.
 
-    One step is one decision: a residual held for up to `decision_steps` control steps, cut short where the gate
-    changes. The reward is 0 until the end and then R of Eq. 6. A timeout terminates: truncation would make
-    Stable-Baselines3 add a bootstrapped value to R. Every info holds "is_success", False until won.
+    One step is one decision: a residual kept for up to `decision_steps` control steps, fewer where the gate changes.
+    The reward is 0 until the end and then R of Eq. 6. A timeout terminates, since truncation would make
+    Stable-Baselines3 add a bootstrapped value to R. Every info contains "is_success", which is False until success.
 
     Films run at true speed. RecordVideo, VecVideoRecorder and "rgb_array_list" take one image per step; so while
     pictures are taken, a step is one control step, 1 / metadata["render_fps"] seconds. After a `render()` that follows
-    a step, the next step ends after one control step; it decides only where a decision is due, and otherwise its action
-    is not read and the residual held on. After a `render()` that follows a reset, the episode begins again at t = 0,
-    before the phases that the reset had run through. Decisions and what they see are those of the same
-    episode unfilmed: a policy that acts on its observations alone ends in the same state, to the bit. An env of which
-    no picture is asked steps as one without `render_mode`.
+    a step, the next step ends after one control step; where no decision is due, its action is ignored and the residual
+    is kept. After a `render()` that follows a reset, the episode begins again at t = 0, before the phases that the
+    reset had run through. Decisions and observations are those of the same episode without a film: a policy that
+    depends only on its observations ends in the same state, bit for bit. An env that is never rendered steps as one
+    without `render_mode`.
 
     Args:
-        task: Task name or a Task.
-        gate_mode: "skip": `step` runs on through phases whose gate is closed, so that every action has an effect and
-            decisions differ in duration. "mask": every decision is a step; `info["residual_mask"]` tells which count.
-            Both give the same gated decisions.
+        task: A task, or its name.
+        gate_mode: "skip": `step` passes over phases whose gate is closed, so that every action has an effect and
+            decisions differ in duration. "mask": every decision is a step, and `info["residual_mask"]` is 1 for those
+            that count. Both give the same gated decisions.
         render_mode: None, "rgb_array" or "human".
         lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
         residual_frame: "target" or "world"; None takes the task's own.
 
     Raises:
-        ValueError: Unknown task, gate mode, render mode or frame.
+        ValueError: The task, gate mode, render mode or frame is unknown.
         OSError: Mode "human" without a display.
     """
 
@@ -74,13 +74,13 @@ class ResidualEnv(WorldEnv):
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, self.residual_scale.size)
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.residual_scale.size,), np.float32)
-        self._left = 0  # control steps for which the latest residual is still to be held
-        self._filmed = False  # a picture was taken since the latest step or reset
-        self._fresh = False  # nothing happened since the reset
+        self._steps_left = 0  # control steps for which the latest residual is still to be kept
+        self._filmed = False  # whether a picture was taken since the latest step or reset
+        self._fresh = False  # whether nothing happened since the reset
 
     @staticmethod
     def sizes(task: str | Task, **_: Any) -> tuple[int, int]:
-        """Return how many numbers an observation and an action of a task have, without making its env."""
+        """Return the sizes of an observation and an action of a task, without making its env."""
         return residual_sizes(get_task(task) if isinstance(task, str) else task)
 
     def reset(
@@ -93,7 +93,7 @@ class ResidualEnv(WorldEnv):
             options: `{"condition": Condition}` (or its `to_dict` form) fixes the episode; without it one is drawn.
 
         Raises:
-            ValueError: An unknown option, or a condition that is not this task's.
+            ValueError: An option is unknown, or the condition is not one of this task.
         """
         super().reset(seed=seed)
         condition = self._chosen(options)
@@ -111,16 +111,16 @@ class ResidualEnv(WorldEnv):
             action: Residual in units of its scale, shape (d,); values beyond [-1, 1] are clipped.
 
         Raises:
-            ValueError: Wrong shape, NaN or infinity.
+            ValueError: The shape is wrong, or a value is not finite.
             RuntimeError: Called before `reset` or after `close`.
         """
         values = self._checked(action)
         filmed, self._fresh = self._filmed, False
-        decides = self._left == 0 and self.executor.outcome is None and self.executor.action.gate
+        decides = self._steps_left == 0 and self.executor.outcome is None and self.executor.action.gate
         if decides:
             self._last_action = np.clip(values, -1.0, 1.0)
             self._residual = self.residual_scale.physical(self._last_action, self.executor)
-            self._left = self.task.residual.decision_steps
+            self._steps_left = self.task.residual.decision_steps
         self._run_decision(at_most=1 if filmed else self.task.residual.decision_steps)
         if self.gate_mode == "skip" and not filmed:
             self._run_until_gate()
@@ -128,7 +128,7 @@ class ResidualEnv(WorldEnv):
         return self._result(decides)
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return an (H, W, 3) uint8 image in mode "rgb_array", and let the next step be one control step.
+        """Return an (H, W, 3) uint8 image in mode "rgb_array", and make the next step one control step.
 
         Called between a reset and the first step, it shows t = 0.
 
@@ -137,31 +137,29 @@ class ResidualEnv(WorldEnv):
         """
         self._must_be_open()
         if self.render_mode == "rgb_array" and self._condition is not None:
-            # What listens to the world has seen the steps that the reset ran, and must not see them twice.
+            # A listener has already been given the steps that the reset ran, and must not be given them twice.
             if self._fresh and not self.world.listeners:
                 self._begin(self._condition)
             self._filmed, self._fresh = True, False
         return super().render()
 
-    # ---------------------------------------------------------------- inside an episode
-
     def _begin(self, condition: Condition) -> None:
         state = self.world.reset(condition)
         self.observer.reset(state)
         self._last_action = np.zeros(self.residual_scale.size)
-        self._left = 0
+        self._steps_left = 0
         self.executor.reset(state, condition, self.world.reference)
         self._fresh = False
 
     def _run_decision(self, *, at_most: int) -> None:
-        gated = self._left > 0
-        for _ in range(min(self._left, at_most) if gated else at_most):
+        gated = self._steps_left > 0
+        for _ in range(min(self._steps_left, at_most) if gated else at_most):
             if self.executor.outcome is not None:
                 return
             self._control_step(self._residual if gated else None)
-            self._left -= gated
+            self._steps_left -= gated
             if self.executor.outcome is not None or self.executor.action.gate != gated:
-                self._left = 0
+                self._steps_left = 0
                 return
 
     def _run_until_gate(self) -> None:

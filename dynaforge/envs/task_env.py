@@ -1,4 +1,4 @@
-"""The Gymnasium env whose action is absolute: an end-effector target, or joint targets."""
+"""The Gymnasium env whose action is absolute: a target for the hand, or targets for the joints."""
 
 from __future__ import annotations
 
@@ -24,23 +24,25 @@ _PER_BODY = (*((name, column.size) for name, column in BODY_COLUMNS.items()), ("
 class TaskEnv(WorldEnv):
     """A task without its prior: for imitation policies, replay, and learning from scratch.
 
-    One step is one control step. The reward is 1 when the task's success held long enough and 0 otherwise; an
-    episode also ends when success has become impossible or time is up. Every info holds "is_success".
+    One step is one control step. The reward is 1 once the task's success predicate was true for the required time, else
+    0; an episode also ends when success has become impossible or time is up. Every info contains "is_success".
 
     An action is a target for the end of the control step; it is reached exactly wherever the limits allow. The rows of
     an export are such actions (`demos.exporters`).
 
     Args:
-        task: Task name or a Task.
+        task: A task, or its name.
         action_mode: "ee": target position (m, base frame), rotation and gripper width (m). "joint": seven joint
             targets (rad) and gripper width (m), shape (8,).
-        rotation: Of mode "ee": "rotvec" from the straight-down hand (rad), "quat_wxyz" or "rotation_6d".
-        elbow: Mode "ee" with the third joint's angle (rad) behind the width: it settles the arm's seventh freedom.
+        rotation: Form of the rotation in mode "ee": "rotvec" from the hand that points straight down (rad), "quat_wxyz"
+            or "rotation_6d".
+        elbow: Whether the width is followed by the third joint's angle (rad) in mode "ee", which determines the arm's
+            seventh degree of freedom.
         render_mode: None, "rgb_array" or "human".
-        visuals: "plain" loads what the cameras of an export look at (`generators.bridge`).
+        visuals: "plain" loads the shapes that the cameras of an export see (`generators.bridge`).
 
     Raises:
-        ValueError: Unknown task, action mode, rotation or render mode.
+        ValueError: The task, action mode, rotation or render mode is unknown.
     """
 
     def __init__(
@@ -74,7 +76,15 @@ class TaskEnv(WorldEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode; `options={"condition": ...}` fixes it."""
+        """Start an episode.
+
+        Args:
+            seed: Seeds the env's own draws of conditions.
+            options: `{"condition": Condition}` (or its `to_dict` form) fixes the episode; without it one is drawn.
+
+        Raises:
+            ValueError: An option is unknown, or the condition is not one of this task.
+        """
         super().reset(seed=seed)
         condition = self._chosen(options)
         self._state = self.world.reset(condition)
@@ -86,16 +96,19 @@ class TaskEnv(WorldEnv):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move to the commanded target, or as near to it as the limits allow in one control step.
 
-        Where its numbers mean no rotation, such as a quaternion of zeros, the hand keeps the one it has.
+        Where its numbers describe no rotation, such as a quaternion of zeros, the hand keeps its present one.
+
+        Args:
+            action: The target, in the terms of `action_layout`; values outside the action space are clipped.
 
         Raises:
-            ValueError: Wrong shape, NaN or infinity.
+            ValueError: The shape is wrong, or a value is not finite.
             RuntimeError: Called before `reset`.
         """
         values = self._checked(action)
         values = np.clip(values, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
         self._state = self._move(values)
-        self.outcome = self._judged()
+        self.outcome = self._outcome_now()
         info: dict[str, Any] = {"is_success": False}
         if self.outcome is not None:
             assert self._condition is not None
@@ -112,16 +125,16 @@ class TaskEnv(WorldEnv):
     def _hand_target(self, action: Array) -> HandTarget:
         try:
             return self.action_layout.hand_target(action)
-        except ValueError:  # no rotation; what is learned from scratch comes by such corners of the action space
+        except ValueError:  # no rotation; a policy that learns from scratch does visit such corners of the action space
             rotation = self.world.kinematics.forward(self.world.reference.joints.q).rotation
             return HandTarget(Pose(rotation, action[:3]), self.action_layout.width(action))
 
-    def _judged(self) -> Outcome | None:
-        """Return how the episode ends: whether the task's success has held long enough; None where it goes on."""
+    def _outcome_now(self) -> Outcome | None:
+        """Return the outcome if the episode ends with this state; None if it continues."""
         state = self._state
         success = self._success.push(state)
-        for reason, holds in self.task.endings:
-            if holds(self._success.view, state.ee):
+        for reason, impossible in self.task.endings:
+            if impossible(self._success.view, state.ee):
                 return self._ended(failure=reason)
         if success:
             return self._ended()

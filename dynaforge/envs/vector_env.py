@@ -1,4 +1,4 @@
-"""Where `SharedMemoryVecEnv` was before it moved to `dynaforge.sampling.vector_env`; scripts may import it here."""
+"""The former home of `SharedMemoryVecEnv`, now in `dynaforge.sampling.vector_env`, for scripts that import it here."""
 
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 

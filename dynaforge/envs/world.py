@@ -1,4 +1,4 @@
-"""One control step of the whole stack: requested target -> joint reference -> physics, recorded."""
+"""One control step of the whole stack: from a requested target to a joint reference and through physics, recorded."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ class ControlStep:
     """All that is recorded of one control step.
 
     Attributes:
-        before, after: The measured scene at its beginning and end.
+        before: The measured scene at its beginning.
+        after: The measured scene at its end.
         planned: a_plan of Eq. 5; None when an external policy acts.
         residual: The residual in physical units as applied (m * scale * a_res), shape (7,).
-        requested: The target asked of the hand.
-        reference: The joint reference that the limits left of it: the projection of Eq. 5.
+        requested: The target requested of the hand.
+        reference: The joint reference that the limits allow, the projection of Eq. 5.
     """
 
     before: SceneState
@@ -50,9 +51,9 @@ class World:
     """A task's scene with the planners that drive its robot.
 
     Args:
-        task: What to simulate.
-        visuals: Load visual shapes for rendering, as `SimScene` does.
-        gui: Open Bullet's window.
+        task: The task.
+        visuals: Which visual shapes to load for rendering, as in `SimScene`.
+        gui: Whether to open Bullet's window.
     """
 
     def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
@@ -68,10 +69,10 @@ class World:
         self._no_residual = np.zeros(7)
 
     def reset(self, condition: Condition) -> SceneState:
-        """Put scene and command at t = 0 of a condition.
+        """Reset the scene and the joint reference to t = 0 of a condition.
 
         Raises:
-            ValueError: It is not a condition of this task; nothing has changed then.
+            ValueError: It is not a condition of this task, in which case nothing has changed.
         """
         self.state = self.scene.reset(self.task.conditions.validate(condition))
         robot = self.scene.robot
@@ -80,11 +81,11 @@ class World:
         return self.state
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
-        """Execute Eq. 5 for one control step; `envs/residual.py` explains it.
+        """Apply Eq. 5 for one control step; `envs/residual.py` explains it.
 
         Args:
             planned: a_plan and m.
-            residual: scale * a_res as `ResidualScale.physical` returns it, shape (7,); None for none.
+            residual: scale * a_res as `ResidualScale.physical` returns it, shape (7,); None for a residual of zero.
         """
         residual = gated(residual, planned)
         requested = requested_target(planned, residual)
@@ -92,14 +93,21 @@ class World:
         return self._step(reference, requested, planned, self._no_residual if residual is None else residual)
 
     def reach(self, target: HandTarget, *, elbow: float | None = None) -> SceneState:
-        """Bring the hand to an absolute target in one control step.
+        """Move the hand to an absolute target in one control step, or as near to it as the limits allow.
 
-        It gets there wherever the limits allow, and else as near as they do; `elbow` is the third joint's angle, rad.
+        Args:
+            target: Pose and width.
+            elbow: Angle of the third joint, rad; None for any.
         """
         return self._step(self.follower.reach(target, elbow=elbow), target, None, self._no_residual)
 
     def reach_joints(self, q: Array, width: float) -> SceneState:
-        """Bring the joints to absolute targets (rad, shape (7,)) and the opening (m) in one control step, likewise."""
+        """Move the joints to absolute targets in one control step, or as near to them as the limits allow.
+
+        Args:
+            q: Joint positions, rad, shape (7,).
+            width: Opening of the fingers, m.
+        """
         reference = self.follower.reach_joints(q, width)
         return self._step(reference, HandTarget(self.kinematics.forward(q), width), None, self._no_residual)
 

@@ -1,4 +1,4 @@
-"""The parser of a command line: what it refuses is one line, and its help teaches by examples."""
+"""The parser of a command line: a mistake is reported in one line, and the help has examples."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dynaforge.sim.checks import close_match, quoted
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that raises ValueError, in one line, instead of printing its usage and leaving the process.
+    """A parser that raises ValueError with one line instead of printing its usage and ending the process.
 
     Args:
         examples: Command lines at the end of `--help`.
-        options: As of `argparse.ArgumentParser`.
+        options: Options of `argparse.ArgumentParser`.
     """
 
     def __init__(self, *, examples: Sequence[str] = (), **options: Any) -> None:
@@ -25,7 +25,7 @@ class Parser(argparse.ArgumentParser):
         """Return the options that the arguments mean.
 
         Raises:
-            ValueError: An argument is unknown, missing or has a wrong value; the message names the option.
+            ValueError: An argument is unknown or missing, or has a wrong value; the message names the option.
         """
         try:
             options, unknown = self.parse_known_args(arguments, namespace)
@@ -46,24 +46,24 @@ class Parser(argparse.ArgumentParser):
 
 
 class Distinct(argparse.Action):
-    """Stores the values of an option that takes several, all different."""
+    """Stores the values of an option that takes several values, which must all be different."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
-        """Store them."""
-        if twice := [value for k, value in enumerate(values) if value in values[:k]]:
-            raise argparse.ArgumentError(self, f"names {quoted(str(twice[0]))} twice.")
+        """Store the values."""
+        if repeated := [value for k, value in enumerate(values) if value in values[:k]]:
+            raise argparse.ArgumentError(self, f"names {quoted(str(repeated[0]))} twice.")
         setattr(namespace, self.dest, values)
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Adds the default of an option to its help text, where there is one worth telling."""
+    """Adds the default of an option to its help text, where the option has one."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
         default, text = action.default, action.help or ""
-        quiet = default is None or default is False or default is argparse.SUPPRESS
-        if quiet or "default" in text or not action.option_strings:
+        has_none = default is None or default is False or default is argparse.SUPPRESS
+        if has_none or "default" in text or not action.option_strings:
             return text
         listed = default if isinstance(default, list | tuple) else [default]
         return f"{text} (default: {' '.join(map(str, listed)).replace('%', '%%')})"

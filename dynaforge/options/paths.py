@@ -1,4 +1,4 @@
-"""Options that are paths: a file or a folder to read, or one to write. Nothing is made here."""
+"""Options that are paths: a file or a folder to read, or one to write. Nothing is created here."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class ExistingPath:
     """A file or a folder that exists and can be read.
 
     Args:
-        kind: Which of the two.
-        containing: A file by which a folder of the right kind is known.
-        complaint: What a message says of a folder without that file, as in "holds no demonstrations".
+        kind: "file" or "folder".
+        containing: A file that the folder must contain.
+        complaint: What the message says of a folder without that file, such as "holds no demonstrations".
     """
 
     def __init__(self, kind: Kind, *, containing: str = "", complaint: str = "") -> None:
@@ -42,12 +42,12 @@ class ExistingPath:
 
 
 class OutputPath:
-    """A file or a folder to write, whose missing parent folders are made when it is written.
+    """A file or a folder to write, whose missing parent folders are created when it is written.
 
     Args:
-        kind: Which of the two.
-        containing: An existing folder must be empty or contain this file.
-        new: Nothing may exist there yet.
+        kind: "file" or "folder".
+        containing: A file that an existing folder must contain, unless it is empty.
+        new: Whether nothing may exist at the path yet.
     """
 
     def __init__(self, kind: Kind, *, containing: str = "", new: bool = False) -> None:
@@ -63,7 +63,7 @@ class OutputPath:
         return path
 
     def _check_name(self, text: str) -> None:
-        if any("\udc80" <= letter <= "\udcff" for letter in text):  # how Python carries bytes that are no text
+        if any("\udc80" <= letter <= "\udcff" for letter in text):  # how Python represents bytes that are not text
             raise Refused(f"is {quoted(text)}, no text in this locale; choose another, or set LC_ALL=C.UTF-8.")
         if not text.isprintable():
             raise Refused(f"is {quoted(text)}; a name with control characters makes no good {self.kind}.")
@@ -99,7 +99,7 @@ def _path(text: str) -> Path:
 
 
 def _quoted_path(text: str) -> str:
-    """Return a path as a message may name it."""
+    """Return a path as a message should name it."""
     return text if text.isprintable() and len(text) < 1000 else quoted(text)
 
 

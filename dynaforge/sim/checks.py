@@ -121,19 +121,18 @@ def check_task_name(name: str, value: Any) -> None:
         raise ValueError(f"{name} is {value!r}; a task's name is written in lower case: {value.lower()!r}.")
 
 
-def check_choice(name: str, value: Any, known: Iterable[str]) -> None:
-    """Raise ValueError unless a value is one of those known; a close match is suggested.
+def check_choice(name: str, value: Any, known: Iterable[str | None]) -> None:
+    """Raise ValueError unless a value is one of those known, which may include None; a close match is suggested.
 
     Args:
         name: Name of the argument in messages.
         value: Its value.
         known: The values allowed.
     """
-    known = list(map(str, known))  # some may be members of a StrEnum
-    if not isinstance(value, str) or value not in known:
-        raise ValueError(
-            f"{name} is {quoted(value)}; known are {', '.join(map(repr, known))}.{close_match(value, known)}"
-        )
+    texts = [None if each is None else str(each) for each in known]  # members of a StrEnum become plain texts
+    if not isinstance(value, (str, type(None))) or value not in texts:
+        close = close_match(value, [text for text in texts if text is not None])
+        raise ValueError(f"{name} is {quoted(value)}; it must be one of {', '.join(map(repr, texts))}.{close}")
 
 
 def check_numbers(name: str, value: Any, n: int, *, least: float = -math.inf) -> None:

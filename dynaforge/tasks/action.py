@@ -23,7 +23,7 @@ from dynaforge.geometry import (
     rotvec_from_matrix,
 )
 from dynaforge.sim import HandTarget
-from dynaforge.sim.checks import check_flag, quoted
+from dynaforge.sim.checks import check_choice, check_flag
 from dynaforge.sim.robot import ELBOW
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
@@ -64,12 +64,8 @@ class ActionLayout:
     elbow: bool = False
 
     def __post_init__(self) -> None:
-        for name, value, known in (
-            ("action_mode", self.mode, ACTION_MODES),
-            ("rotation", self.rotation, tuple(ROTATIONS)),
-        ):
-            if not isinstance(value, str) or value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {quoted(value)}.")
+        check_choice("action_mode", self.mode, ACTION_MODES)
+        check_choice("rotation", self.rotation, ROTATIONS)
         check_flag("elbow", self.elbow)
         if self.elbow and self.mode == "joint":
             raise ValueError("Joint positions determine the elbow: elbow=True is for action_mode 'ee' only.")

@@ -1,4 +1,4 @@
-"""`python -m dynaforge.zoo train|enjoy|record_video ...`: rl_zoo3 with our algorithm and envs."""
+"""`python -m dynaforge.zoo train|enjoy|record_video ...`: rl_zoo3's scripts with our algorithm and envs."""
 
 from dynaforge.zoo.scripts import main
 

@@ -1,4 +1,4 @@
-"""FrontierGRPO as rl_zoo3 knows it: by two names, with hyperparameters to start from and to search."""
+"""FrontierGRPO in rl_zoo3: under two names, with default hyperparameters and a range to search them in."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ NET_ARCHS = {"small": [64, 64], "medium": [128, 128], "large": [256, 256]}
 def register_with_zoo() -> None:
     """Make FrontierGRPO known to rl_zoo3, for training, loading and hyperparameter search.
 
-    rl_zoo3 imports its dictionaries by name in several modules: they are changed in place, never replaced.
+    rl_zoo3 imports its dictionaries by name in several modules, so they are changed in place, never replaced.
 
     Raises:
-        SystemExit: rl_zoo3, or what its tools need, is not installed.
+        SystemExit: rl_zoo3, or a package that its scripts need, is not installed.
     """
     try:
         from rl_zoo3 import ALGOS
@@ -42,7 +42,7 @@ def register_with_zoo() -> None:
 def config_file(algo: str, env_id: str) -> Path | None:
     """Return the installed hyperparameter file of an algorithm, or None where rl_zoo3's own is the better choice.
 
-    Ours are taken when they list the env, or a default for all envs; rl_zoo3 has files of its own for PPO and the like.
+    Ours are used where they list the env, or a default for all envs; rl_zoo3 has files of its own for PPO and others.
     """
     path = settings.config_file(algo)
     if path is None or settings.entry_of(yaml.safe_load(path.read_text(encoding="utf-8")), env_id) is None:
@@ -77,7 +77,7 @@ def sample_hyperparameters(trial: Any, n_actions: int, n_envs: int, additional_a
 
 
 def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
-    """Turn sampled values into constructor arguments: the learning rate decays, noise and net_arch are the policy's."""
+    """Turn sampled values into constructor arguments: the learning rate decays, noise and net_arch go to the policy."""
     from stable_baselines3.common.utils import LinearSchedule
 
     options = dict(sampled)

@@ -1,4 +1,4 @@
-"""Flags and hyperparameter files that are refused before rl_zoo3 is imported or anything is made."""
+"""Checks of flags and hyperparameter files, before rl_zoo3 is imported or anything is created."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from dynaforge.algos.options import LARGEST_SEED
 from dynaforge.training.settings import entry_of
 
 
-def check_flags(script: str, asked: argparse.Namespace, *, named_env: bool) -> None:
-    """Refuse numbers out of range, a log folder that is a file, and a training of nothing in particular.
+def check_flags(script: str, options: argparse.Namespace, *, named_env: bool) -> None:
+    """Refuse numbers out of range, a log folder that is a file, and training without a named env.
 
     Args:
         script: The script of rl_zoo3.
-        asked: Its flags, read.
-        named_env: Whether the env was given.
+        options: Its parsed flags.
+        named_env: Whether an env was named.
 
     Raises:
-        ValueError: Names the flag.
+        ValueError: A flag is wrong; the message names it.
     """
     if script == "train" and not named_env:
         raise ValueError("name an env, as in: dynaforge train --algo frontier_grpo --env DynaForge/Can-v0")
-    n = asked.n_timesteps
-    if n is not None and n != -1 and n < 1:  # -1 is rl_zoo3's word for "as the hyperparameters say"
+    n = options.n_timesteps
+    if n is not None and n != -1 and n < 1:  # -1 means "as the hyperparameters say" in rl_zoo3
         raise ValueError(f"-n is {n}; it must be at least 1. Leave it out for the steps that the hyperparameters say")
-    if asked.seed is not None and not -1 <= asked.seed <= LARGEST_SEED:  # and here for "draw one"
-        raise ValueError(f"--seed is {asked.seed}; it must be from 0 to {LARGEST_SEED}, or -1 to have one drawn")
-    if asked.folder is not None and Path(asked.folder).exists() and not Path(asked.folder).is_dir():
-        raise ValueError(f"-f {asked.folder} is a file; name a folder")
-    agent = asked.trained_agent
+    if options.seed is not None and not -1 <= options.seed <= LARGEST_SEED:  # and here "draw one"
+        raise ValueError(f"--seed is {options.seed}; it must be from 0 to {LARGEST_SEED}, or -1 to have one drawn")
+    if options.folder is not None and Path(options.folder).exists() and not Path(options.folder).is_dir():
+        raise ValueError(f"-f {options.folder} is a file; name a folder")
+    agent = options.trained_agent
     if agent and not (agent.endswith(".zip") and Path(agent).is_file() and zipfile.is_zipfile(agent)):
-        what = "is no checkpoint of Stable-Baselines3" if Path(agent).exists() else "does not exist"
-        raise ValueError(f"-i {agent} {what}; name the .zip of a trained model")
+        problem = "is no checkpoint of Stable-Baselines3" if Path(agent).exists() else "does not exist"
+        raise ValueError(f"-i {agent} {problem}; name the .zip of a trained model")
 
 
 def check_configuration(conf: str, env: str) -> None:
     """Refuse a file of hyperparameters that rl_zoo3 cannot read, or that lists nothing for the env.
 
-    Files and packages in Python are code: they are left to rl_zoo3, which runs them.
+    Python files and packages are left to rl_zoo3, which runs them.
 
     Raises:
-        ValueError: Names the file and what is wrong.
+        ValueError: The file cannot be used; the message names it and says why.
     """
     path = Path(conf)
     if conf.endswith((".yml", ".yaml", ".py")):
@@ -66,8 +66,8 @@ def check_configuration(conf: str, env: str) -> None:
     except (ImportError, ValueError):
         found = False
     if not found:
-        what = "is a folder" if path.is_dir() else "is neither a file that ends in .yml or .py nor a package"
-        raise ValueError(f"-conf {conf} {what}; leave -conf out for the installed file")
+        problem = "is a folder" if path.is_dir() else "is neither a file that ends in .yml or .py nor a package"
+        raise ValueError(f"-conf {conf} {problem}; leave -conf out for the installed file")
 
 
 def _check_entry(conf: str, listed: Any, env: str) -> None:
@@ -89,7 +89,7 @@ def check_schedules(hyperparameters: Mapping[str, Any]) -> None:
     """Refuse a rate or a clip range that is neither a number in range nor "lin_NUMBER".
 
     Raises:
-        ValueError: Names the hyperparameter.
+        ValueError: A hyperparameter is wrong; the message names it.
     """
     for name in ("learning_rate", "clip_range", "clip_range_high"):
         value = hyperparameters.get(name)
@@ -97,8 +97,8 @@ def check_schedules(hyperparameters: Mapping[str, Any]) -> None:
             continue
         try:
             number = float(value.removeprefix("lin_") if isinstance(value, str) else value)
-            good = 0.0 <= number < float("inf") and (not isinstance(value, str) or value.startswith("lin_"))
+            valid = 0.0 <= number < float("inf") and (not isinstance(value, str) or value.startswith("lin_"))
         except ValueError:
-            good = False
-        if not good:
+            valid = False
+        if not valid:
             raise ValueError(f"{name} is {value!r}; write a number, or lin_NUMBER for one that falls to 0 over the run")

@@ -1,4 +1,4 @@
-"""Which env a command line of rl_zoo3 means, where our tasks may be named by name, env id or file."""
+"""The env that a command line of rl_zoo3 means: our tasks may be given by name, env id or file."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from dynaforge.training.settings import entry_of
 
 
 def import_packages(packages: Iterable[str]) -> None:
-    """Import what `--gym-packages` names, as rl_zoo3 does; a module that is a task file registers its envs.
+    """Import the packages of `--gym-packages`, as rl_zoo3 does; a module that is a task file registers its envs.
 
     Raises:
-        ValueError: One cannot be imported, or its task not registered.
+        ValueError: A package cannot be imported, or its task cannot be registered.
     """
     for package in packages:
         try:
@@ -30,10 +30,10 @@ def import_packages(packages: Iterable[str]) -> None:
 
 
 def named_env(given: str) -> str:
-    """Return the env id that is meant: for a task's name or file its residual env's; what is not ours as it is.
+    """Return the env id that is meant: that of the residual env for a task's name or file; other envs as given.
 
     Raises:
-        ValueError: A task file holds no task.
+        ValueError: A task file defines no task.
     """
     if given.endswith(".py"):
         return env_id(get_task(given).name)
@@ -45,17 +45,17 @@ def named_env(given: str) -> str:
 
 
 def reading_our_settings(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Let rl_zoo3's reading of a file of zoo_configs take the entry that `forge` and `compare` take."""
+    """Make rl_zoo3 read the entry of a zoo_configs file that `forge` and `compare` use."""
 
     def read_hyperparameters(manager: Any) -> Any:
-        asked = manager.env_name
+        env_name = manager.env_name
         listed = yaml.safe_load(Path(manager.config).read_text(encoding="utf-8"))
-        entry = entry_of(listed, asked.gym_id)
+        entry = entry_of(listed, env_name.gym_id)
         if entry in listed and entry != "default":
-            manager.env_name = type(asked)(entry)
+            manager.env_name = type(env_name)(entry)
         try:
             return read(manager)
         finally:
-            manager.env_name = asked
+            manager.env_name = env_name
 
     return read_hyperparameters

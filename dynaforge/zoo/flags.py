@@ -1,4 +1,4 @@
-"""The flags of rl_zoo3's scripts, read from their source: importing them takes seconds, refusing a slip should not."""
+"""The flags of rl_zoo3's scripts, read from their source: importing them takes seconds, refusing a typo should not."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ SCRIPTS = ("train", *PLAYERS, *PLOTTERS)
 """Scripts of rl_zoo3 that run here."""
 
 AT_LEAST_ONE = {"n_envs", "n_eval_envs", "eval_episodes", "n_trials", "n_evaluations", "fontsize", "episode_window"}
-"""Numbers that may not be 0: their scripts divide by them, or never end."""
+"""Numbers that must not be 0, since the scripts divide by them or never end."""
 
 NEEDED = {"all_plots": ("algos", "env", "exp_folders"), "plot_from_file": ("input",)}
-"""Flags without which a script raises, though it does not declare them as required."""
+"""Flags without which a script raises although it does not declare them as required."""
 
 
 def zoo_parser(script: str, *, complete: bool = True) -> Parser:
-    """Return a parser of what a script of rl_zoo3 takes, and of --trusted; its own defaults are left to the script.
+    """Return a parser of the flags of a script of rl_zoo3, and of --trusted; the script applies its own defaults.
 
     Args:
-        script: Its name.
-        complete: Whether flags that the script requires are required.
+        script: Name of the script.
+        complete: Whether the flags that the script requires must be given.
 
     Raises:
         ModuleNotFoundError: rl_zoo3 is not installed.
@@ -58,7 +58,7 @@ def zoo_algorithms() -> list[str]:
     for node in ast.walk(_source("utils")):
         if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "ALGOS" and isinstance(node.value, ast.Dict):
             return [_value(key) for key in node.value.keys]
-    from rl_zoo3 import ALGOS  # another version, which writes them down otherwise
+    from rl_zoo3 import ALGOS  # another version, with another source
 
     return list(ALGOS)
 
@@ -79,7 +79,7 @@ def _calls(tree: ast.Module, method: str) -> Iterator[ast.Call]:
 
 
 def _meaning(keywords: dict[str | None, ast.expr], name: str) -> dict[str, Any]:
-    """Return our keywords of `add_argument` for a script's own, as far as they can be read without running it."""
+    """Return keywords of `add_argument` for those in the script, as far as they can be read without running it."""
     if _value(keywords.get("action")) == "store_true":
         return {"action": "store_true"}
     kind = keywords.get("type")
@@ -95,7 +95,7 @@ def _meaning(keywords: dict[str | None, ast.expr], name: str) -> dict[str, Any]:
 
 
 def _value(node: ast.expr | None) -> Any:
-    """Return a constant, or a list of some; None for anything else."""
+    """Return the value of a constant or of a list of constants; None for anything else."""
     try:
         return None if node is None else ast.literal_eval(node)
     except ValueError:
@@ -103,18 +103,18 @@ def _value(node: ast.expr | None) -> Any:
 
 
 class _PythonNumber:
-    """A number as Python reads it, which is how rl_zoo3 reads it."""
+    """A number as Python, and so rl_zoo3, parses it."""
 
     def __init__(self, kind: type[int] | type[float], *, positive: bool) -> None:
         self.kind, self.positive = kind, positive
 
     def __call__(self, text: str) -> float:
-        """Return the number that a text means."""
+        """Return the number."""
         try:
             value = self.kind(text)
         except ValueError:
-            what = "a whole number" if self.kind is int else "a number"
-            raise Refused(f"is {quoted(text)}; it must be {what}.") from None
+            expected = "a whole number" if self.kind is int else "a number"
+            raise Refused(f"is {quoted(text)}; it must be {expected}.") from None
         if self.positive and value < 1:
             raise Refused(f"is {quoted(text)}; it must be at least 1.")
         return value

@@ -1,4 +1,4 @@
-"""What is replaced in rl_zoo3 and Stable-Baselines3 while a script of rl_zoo3 runs, and put back afterwards."""
+"""The parts of rl_zoo3 and Stable-Baselines3 that are replaced while a script of rl_zoo3 runs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,19 @@ from typing import Any
 from dynaforge.registration import ENV_NAMES, env_id
 from dynaforge.zoo.checks import check_schedules
 
-ACTION_NOISE = ("noise_type", "noise_std")  # hyperparameters that rl_zoo3 turns into others after the check
+ACTION_NOISE = ("noise_type", "noise_std")  # hyperparameters that rl_zoo3 converts after the check
 
 
 class ZooProcess:
-    """Replaces parts of rl_zoo3 and Stable-Baselines3 by ours; `close` puts all of them back.
+    """Replaces parts of rl_zoo3 and Stable-Baselines3 with ours; `close` restores all of them.
+
+    Args:
+        script: The script of rl_zoo3.
+        flags: Its flags.
+        own_envs: Whether the env is one of ours.
 
     Attributes:
-        learning: Whether a training or a search has begun: what fails before is a mistake in the command line.
+        learning: Whether training or a search has begun; a failure before that is a mistake in the command line.
     """
 
     def __init__(self, script: str, flags: list[str], *, own_envs: bool) -> None:
@@ -35,7 +40,7 @@ class ZooProcess:
 
         self.learning = False
         self._script = script
-        self._made: list[Path] = []
+        self._new_folders: list[Path] = []
         self._envs: list[Any] = []
         self._undo = contextlib.ExitStack()
         self._put(sys, "argv", [f"dynaforge {script}", *flags])
@@ -46,7 +51,7 @@ class ZooProcess:
         self._wrap(manager, "_preprocess_hyperparams", _refusing_unknown_names)
         self._wrap(manager, "create_log_folder", self._noting_folders)
         self._wrap(manager, "create_envs", self._noting_envs)
-        self._wrap(manager, "_load_pretrained_agent", _saying_what_goes_on)
+        self._wrap(manager, "_load_pretrained_agent", _saying_what_is_continued)
         self._wrap(manager, "save_trained_model", _saving_the_policy)
         for name in ("learn", "hyperparameters_optimization"):
             self._wrap(manager, name, self._noting_the_start)
@@ -63,18 +68,18 @@ class ZooProcess:
         self._put(ExperimentManager, name, value)
 
     def clear(self) -> None:
-        """Close the envs and remove the folders of a run that did not begin."""
+        """Close the envs and remove the new folders of a run that did not begin."""
         for env in self._envs:
             env.close()
-        for path in self._made:
-            if path == self._made[0]:
+        for path in self._new_folders:
+            if path == self._new_folders[0]:
                 shutil.rmtree(path, ignore_errors=True)
             else:
                 with contextlib.suppress(OSError):  # another process may have put something there
                     path.rmdir()
 
     def close(self) -> None:
-        """Undo everything."""
+        """Restore everything."""
         self._undo.close()
 
     def _put(self, owner: Any, name: str, value: Any) -> None:
@@ -97,7 +102,7 @@ class ZooProcess:
     def _noting_folders(self, create: Callable[[Any], None]) -> Callable[[Any], None]:
         def create_log_folder(manager: Any) -> None:
             run = Path(manager.save_path)
-            self._made = [path for path in (run, *run.parents) if not path.exists()]
+            self._new_folders = [path for path in (run, *run.parents) if not path.exists()]
             create(manager)
 
         return create_log_folder
@@ -135,7 +140,7 @@ def _never_below_zero(update: Callable[..., None]) -> Callable[..., None]:
 
 
 def _reading_all_schedules(read: Callable[[dict[str, Any]], dict[str, Any]]) -> Callable[[dict[str, Any]], Any]:
-    """Let "lin_0.28" mean for `clip_range_high` what it means for `clip_range`."""
+    """Make rl_zoo3 read "lin_0.28" as a schedule for `clip_range_high`, as it does for `clip_range`."""
 
     def _preprocess_schedules(hyperparams: dict[str, Any]) -> dict[str, Any]:
         check_schedules(hyperparams)
@@ -148,7 +153,7 @@ def _reading_all_schedules(read: Callable[[dict[str, Any]], dict[str, Any]]) -> 
 
 
 def _refusing_unknown_names(preprocess: Callable[[Any, dict[str, Any]], Any]) -> Callable[[Any, dict[str, Any]], Any]:
-    """Name a hyperparameter that the algorithm does not know, and the closest that it does."""
+    """Refuse a hyperparameter that the algorithm does not know, and name the closest one that it does."""
 
     def _preprocess_hyperparams(manager: Any, hyperparams: dict[str, Any]) -> Any:
         from rl_zoo3.utils import ALGOS
@@ -165,7 +170,7 @@ def _refusing_unknown_names(preprocess: Callable[[Any, dict[str, Any]], Any]) ->
 
 
 def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
-    """Let monitor files say which episodes succeeded, for `plot_train -y success`."""
+    """Make monitor files say which episodes succeeded, for `plot_train -y success`."""
 
     def create_envs(manager: Any, *args: Any, **kwargs: Any) -> Any:
         manager.monitor_kwargs = {"info_keywords": ("is_success",)} | manager.monitor_kwargs
@@ -174,7 +179,7 @@ def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
     return create_envs
 
 
-def _saying_what_goes_on(load: Callable[..., Any]) -> Callable[..., Any]:
+def _saying_what_is_continued(load: Callable[..., Any]) -> Callable[..., Any]:
     """Print what is continued of the earlier run: rl_zoo3 counts steps from 0 again, and may find no statistics."""
 
     def _load_pretrained_agent(manager: Any, *args: Any) -> Any:
@@ -189,7 +194,7 @@ def _saying_what_goes_on(load: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
-    """Let rl_zoo3's saving of a trained model write `policy.safetensors` too, where the env is a task's."""
+    """Make rl_zoo3 write `policy.safetensors` beside a trained model, where the env is that of a task."""
 
     def save_trained_model(manager: Any, model: Any) -> None:
         save(manager, model)
@@ -212,7 +217,7 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
 
 
 def _calling_our_recorder(call: Callable[..., int]) -> Callable[..., int]:
-    """Let record_training start record_video with this interpreter and with our algorithm and envs."""
+    """Make record_training start record_video with this interpreter, and with our algorithm and envs."""
     theirs = ["python", "-m", "rl_zoo3.record_video"]
 
     def ours(command: Any, *args: Any, **kwargs: Any) -> int:
@@ -225,7 +230,7 @@ def _calling_our_recorder(call: Callable[..., int]) -> Callable[..., int]:
 
 @contextlib.contextmanager
 def _ffmpeg_on_path() -> Iterator[None]:
-    """Let `ffmpeg` be found, which record_training calls: the system's, else the one that imageio brings."""
+    """Put `ffmpeg`, which record_training calls, on the path: the system's, else the one that imageio-ffmpeg has."""
     if shutil.which("ffmpeg"):
         yield
         return

@@ -1,4 +1,4 @@
-"""What ends a command of rl_zoo3 in one line: unknown names, checkpoints that are not trusted, no display."""
+"""Refusals that end a command of rl_zoo3 in one line: unknown names, untrusted checkpoints, no display."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dynaforge.zoo.algorithm import ALGORITHMS
 from dynaforge.zoo.flags import zoo_algorithms
 
 
-class ZooFailure(Exception):  # noqa: N818 - it stands for one of any kind
-    """What a script of rl_zoo3 ended with: a mistake in the command line, or an error that explains itself."""
+class ZooFailure(Exception):  # noqa: N818 - it wraps an error of any kind
+    """The error that ended a script of rl_zoo3: a mistake in the command line, or one that needs no traceback."""
 
     def __str__(self) -> str:
         error = self.args[0]
@@ -24,10 +24,10 @@ class ZooFailure(Exception):  # noqa: N818 - it stands for one of any kind
 
 @contextmanager
 def one_line(script: str) -> Iterator[None]:
-    """Let a mistake end the process with one line.
+    """End the process with one line on a mistake.
 
     Raises:
-        SystemExit: With that line.
+        SystemExit: A ValueError or a ZooFailure was raised; its message is the line.
     """
     try:
         yield
@@ -35,37 +35,37 @@ def one_line(script: str) -> Iterator[None]:
         raise SystemExit(f"dynaforge {script}: {' '.join(str(error).split())}") from error
 
 
-def check_trust(script: str, asked: argparse.Namespace) -> None:
-    """Refuse to load an SB3 checkpoint without --trusted: unpickling runs what its author put in."""
-    if (script != "train" or asked.trained_agent) and not asked.trusted:
-        what = asked.trained_agent or "an rl_zoo3 checkpoint"
+def check_trust(script: str, options: argparse.Namespace) -> None:
+    """Refuse to load an SB3 checkpoint without --trusted, since unpickling runs code stored in it."""
+    if (script != "train" or options.trained_agent) and not options.trusted:
+        checkpoint = options.trained_agent or "an rl_zoo3 checkpoint"
         raise SystemExit(
-            f"dynaforge {script}: loading {what} can run code stored in it; add --trusted if it is your own"
+            f"dynaforge {script}: loading {checkpoint} can run code stored in it; add --trusted if it is your own"
         )
 
 
-def check_statistics(asked: argparse.Namespace) -> None:
-    """Refuse to unpickle, without --trusted, the file that rl_zoo3 takes for the statistics of an earlier run."""
-    name = asked.env.rpartition(":")[2].replace("/", "-")
-    statistics = Path(asked.trained_agent).parent / name / "vecnormalize.pkl"
-    if statistics.exists() and not asked.trusted:
+def check_statistics(options: argparse.Namespace) -> None:
+    """Refuse to unpickle without --trusted the file that rl_zoo3 would load as the statistics of an earlier run."""
+    name = options.env.rpartition(":")[2].replace("/", "-")
+    statistics = Path(options.trained_agent).parent / name / "vecnormalize.pkl"
+    if statistics.exists() and not options.trusted:
         raise SystemExit(
             f"dynaforge train: rl_zoo3 loads {statistics}, which can run code stored in it; add --trusted if it is "
             "your own, or start elsewhere"
         )
 
 
-def check_display(script: str, asked: argparse.Namespace, flags: list[str]) -> None:
-    """Refuse to play in a window where no window can be opened, before anything is loaded.
+def check_display(script: str, options: argparse.Namespace, flags: list[str]) -> None:
+    """Refuse to play in a window where none can be opened, before anything is loaded.
 
     Args:
         script: The script of rl_zoo3; only `enjoy` opens a window.
-        asked: Its flags, read.
-        flags: Its flags as given, among them those that are passed on to the env.
+        options: Its parsed flags.
+        flags: Its flags as given, including those that are passed on to the env.
     """
     if (
         script != "enjoy"
-        or not asked.env.startswith("DynaForge/")
+        or not options.env.startswith("DynaForge/")
         or "--no-render" in flags
         or any("render_mode" in flag for flag in flags)
     ):
@@ -88,7 +88,7 @@ def check_algorithm(algo: str) -> None:
 
 
 def check_env(env: str) -> None:
-    """Refuse an env that is not registered; those of other packages are once rl_zoo3 is imported."""
+    """Refuse an env that is not registered; those of other packages are registered once rl_zoo3 is imported."""
     import gymnasium as gym
 
     if env not in gym.registry:

@@ -1,10 +1,10 @@
-"""A command line of rl_zoo3, from its flags to its script: `dynaforge train`, `enjoy`, `record_video` and so on.
+"""The scripts of rl_zoo3 as commands: `dynaforge train`, `enjoy`, `record_video` and so on.
 
-Flags, log folders and output are rl_zoo3's own; a run ends in `logs/<algo>/<env>_<run>/` unless `-f` says otherwise.
-What is added: the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list
-the env, worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the trained
-model, which `evaluate` and `collect` take as `--policy`, and `--trusted`. Scripts that play a model look in
-`logs/`, where `train` writes, unless `-f` is given.
+Flags, log folders and output are rl_zoo3's own; a run is stored in `logs/<algo>/<env>_<run>/` unless `-f` is given. We
+add the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list the env,
+worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the trained model,
+which `evaluate` and `collect` accept as `--policy`, and `--trusted`. Scripts that play a model look in `logs/`, where
+`train` writes, unless `-f` is given.
 """
 
 from __future__ import annotations
@@ -34,11 +34,14 @@ from dynaforge.zoo.refusals import (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a script of rl_zoo3 on arguments as the shell gives them, by default those of this process.
+    """Run a script of rl_zoo3.
+
+    Args:
+        argv: Script and flags; by default the arguments of this process.
 
     Raises:
-        SystemExit: An unknown script, env, algorithm or configuration file, an untrusted checkpoint, or no rl_zoo3;
-            its message is one line.
+        SystemExit: The script, env, algorithm or configuration file is unknown, a checkpoint is not trusted, or rl_zoo3
+            is missing; the message is one line.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] not in SCRIPTS:
@@ -46,56 +49,56 @@ def main(argv: Sequence[str] | None = None) -> int:
         known = f"{', '.join(map(repr, SCRIPTS[:-1]))} or {SCRIPTS[-1]!r}"
         raise SystemExit(f"dynaforge: expected {known} and its flags, was given {given}")
     script, *flags = arguments
-    asked = _parse(script, flags)
+    options = _parse(script, flags)
     flags = [flag for flag in flags if not (flag[:3] == "--t" and "--trusted".startswith(flag))]
-    return _plot(script, flags, asked) if script in PLOTTERS else _work(script, flags, asked)
+    return _plot(script, flags, options) if script in PLOTTERS else _work(script, flags, options)
 
 
-def _work(script: str, flags: list[str], asked: argparse.Namespace) -> int:
+def _work(script: str, flags: list[str], options: argparse.Namespace) -> int:
     """Run a script that trains or plays a model."""
-    if not asked.help:
-        flags = flags + _checked(script, flags, asked)
-    if script in PLAYERS and asked.folder is None:
+    if not options.help:
+        flags = flags + _checked(script, flags, options)
+    if script in PLAYERS and options.folder is None:
         flags = [*flags, "-f", "logs"]
     register_with_zoo()
     config = None
-    if not asked.help:
-        check_env(asked.env)  # again: rl_zoo3 has registered envs of others meanwhile
+    if not options.help:
+        check_env(options.env)  # again, since rl_zoo3 has registered envs of other packages
         if script == "train":
-            check_statistics(asked)
-            config = config_file(asked.algo, asked.env) if asked.conf_file is None else None
+            check_statistics(options)
+            config = config_file(options.algo, options.env) if options.conf_file is None else None
     if config is not None:
         flags = [*flags, "--conf-file", str(config)]
-    own_env = asked.env.startswith("DynaForge/")
-    own_workers = own_env and asked.vec_env is None
-    arranged = _zoo_process(script, flags, own_env=own_env, own_workers=own_workers, config=config)
-    with worker_environment(), arranged:
+    own_env = options.env.startswith("DynaForge/")
+    own_workers = own_env and options.vec_env is None
+    process = _zoo_process(script, flags, own_env=own_env, own_workers=own_workers, config=config)
+    with worker_environment(), process:
         _run(script)
     return 0
 
 
-def _checked(script: str, flags: list[str], asked: argparse.Namespace) -> list[str]:
-    """Refuse what can be refused before rl_zoo3 is imported; returns the flags that name the env to rl_zoo3.
+def _checked(script: str, flags: list[str], options: argparse.Namespace) -> list[str]:
+    """Check what can be checked before rl_zoo3 is imported, and return the flags that name the env to rl_zoo3.
 
     Raises:
         SystemExit: The first mistake, in one line.
     """
-    check_algorithm(asked.algo)
-    check_trust(script, asked)
-    more = _name_env(script, asked)
+    check_algorithm(options.algo)
+    check_trust(script, options)
+    more = _name_env(script, options)
     with one_line(script):
-        check_flags(script, asked, named_env=asked.env_given is not None)
-    if asked.env.startswith("DynaForge/"):
-        check_env(asked.env)
-    check_display(script, asked, [*flags, *more])
+        check_flags(script, options, named_env=options.env_given is not None)
+    if options.env.startswith("DynaForge/"):
+        check_env(options.env)
+    check_display(script, options, [*flags, *more])
     with one_line(script):
-        if asked.conf_file is not None:
-            check_configuration(asked.conf_file, asked.env)
+        if options.conf_file is not None:
+            check_configuration(options.conf_file, options.env)
     return more
 
 
 def _parse(script: str, flags: list[str]) -> argparse.Namespace:
-    """Read the flags; rl_zoo3 parses them again, with its own defaults and help.
+    """Parse the flags; rl_zoo3 parses them again, with its own defaults and help.
 
     Raises:
         SystemExit: A flag is unknown or its value is wrong; the message names it.
@@ -105,25 +108,25 @@ def _parse(script: str, flags: list[str]) -> argparse.Namespace:
         try:
             parser = zoo_parser(script, complete=not wants_help)
         except ModuleNotFoundError:
-            register_with_zoo()  # says what to install
+            register_with_zoo()  # raises with the name of the missing package
             raise
-        asked: argparse.Namespace = parser.parse_args(["--help"] if wants_help else flags)
+        options: argparse.Namespace = parser.parse_args(["--help"] if wants_help else flags)
     if script not in PLOTTERS:
-        asked.env_given, asked.env, asked.algo = asked.env, asked.env or "CartPole-v1", asked.algo or "ppo"
-        asked.folder = asked.log_folder if script == "train" else asked.folder
-    for name, missing in (("conf_file", None), ("trained_agent", ""), ("vec_env", None), ("gym_packages", [])):
-        setattr(asked, name, getattr(asked, name, None) or missing)
-    return asked
+        options.env_given, options.env, options.algo = options.env, options.env or "CartPole-v1", options.algo or "ppo"
+        options.folder = options.log_folder if script == "train" else options.folder
+    for name, default in (("conf_file", None), ("trained_agent", ""), ("vec_env", None), ("gym_packages", [])):
+        setattr(options, name, getattr(options, name, None) or default)
+    return options
 
 
-def _name_env(script: str, asked: argparse.Namespace) -> list[str]:
-    """Resolve the env that is asked for; returns the flags that tell rl_zoo3, which knows nothing but ids."""
+def _name_env(script: str, options: argparse.Namespace) -> list[str]:
+    """Resolve the env that was given, and return the flags that name it to rl_zoo3, which accepts only ids."""
     try:
-        import_packages(asked.gym_packages)
-        env = named_env(asked.env)
+        import_packages(options.gym_packages)
+        env = named_env(options.env)
     except ValueError as error:
         raise SystemExit(f"dynaforge {script}: {error}") from error
-    changed, asked.env = env != asked.env, env
+    changed, options.env = env != options.env, env
     return ["--env", env] if changed else []
 
 
@@ -131,7 +134,7 @@ def _name_env(script: str, asked: argparse.Namespace) -> list[str]:
 def _zoo_process(
     script: str, flags: list[str], *, own_env: bool, own_workers: bool, config: Path | None
 ) -> Iterator[None]:
-    """Arrange, while rl_zoo3 runs, what it reads from the process and what it does to our envs."""
+    """Replace parts of rl_zoo3 while one of its scripts runs."""
     from rl_zoo3.exp_manager import ExperimentManager
 
     from dynaforge.sampling.vector_env import SharedMemoryVecEnv
@@ -151,9 +154,9 @@ def _zoo_process(
             raise ZooFailure(error) from error
 
 
-def _plot(script: str, flags: list[str], asked: argparse.Namespace) -> int:
-    """Run a script that plots; it looks for parts of folder names, in which rl_zoo3 writes "-" for "/"."""
-    if script == "plot_from_file" and not asked.help and not asked.trusted:
+def _plot(script: str, flags: list[str], options: argparse.Namespace) -> int:
+    """Run a script that plots; it looks for parts of folder names, in which rl_zoo3 writes "-" instead of "/"."""
+    if script == "plot_from_file" and not options.help and not options.trusted:
         raise SystemExit("dynaforge plot_from_file: it unpickles a file of all_plots; add --trusted if it is your own")
     flags = [flag.replace("DynaForge/", "DynaForge-") for flag in flags]
     register_with_zoo()
@@ -163,7 +166,7 @@ def _plot(script: str, flags: list[str], asked: argparse.Namespace) -> int:
 
 
 def _run(script: str) -> None:
-    """Run one of rl_zoo3's scripts, imported only now since each takes a while."""
+    """Run one of rl_zoo3's scripts, imported only now since that takes seconds."""
     if script == "train":
         from rl_zoo3.train import train
 

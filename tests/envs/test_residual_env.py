@@ -227,9 +227,9 @@ def test_a_failed_plan_leaves_no_observation_of_the_episode_before() -> None:
     ("kwargs", "message"),
     [
         ({"task": "cann"}, r"No task 'cann'\. Did you mean 'can'\?"),
-        ({"gate_mode": "skp"}, "gate_mode must be one of 'skip', 'mask'; got 'skp'"),
-        ({"render_mode": "rgb"}, "render_mode must be one of None, 'rgb_array', 'human'; got 'rgb'"),
-        ({"residual_frame": "hand"}, "residual_frame must be one of None, 'target', 'world'; got 'hand'"),
+        ({"gate_mode": "skp"}, "gate_mode is 'skp'; it must be one of 'skip', 'mask'"),
+        ({"render_mode": "rgb"}, "render_mode is 'rgb'; it must be one of None, 'rgb_array', 'human'"),
+        ({"residual_frame": "hand"}, "residual_frame is 'hand'; it must be one of None, 'target', 'world'"),
     ],
 )
 def test_a_wrong_choice_is_named_at_the_door(kwargs: dict[str, str], message: str) -> None:

@@ -114,7 +114,7 @@ def test_doing_nothing_ends_in_a_named_failure() -> None:
 
 
 def test_a_wrong_action_mode_is_named() -> None:
-    with pytest.raises(ValueError, match="action_mode must be one of 'ee', 'joint'; got 'joints'"):
+    with pytest.raises(ValueError, match="action_mode is 'joints'; it must be one of 'ee', 'joint'"):
         TaskEnv("can", action_mode="joints")
 
 

@@ -68,8 +68,8 @@ def test_quaternions_keep_their_sign_through_a_recording() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("joints",), "action_mode must be one of 'ee', 'joint'; got 'joints'"),
-        (("ee", "euler"), "rotation must be one of 'quat_wxyz', 'rotvec', 'rotation_6d'; got 'euler'"),
+        (("joints",), "action_mode is 'joints'; it must be one of 'ee', 'joint'"),
+        (("ee", "euler"), "rotation is 'euler'; it must be one of 'quat_wxyz', 'rotvec', 'rotation_6d'"),
         (("joint", "quat_wxyz", True), "Joint positions determine the elbow"),
     ],
 )

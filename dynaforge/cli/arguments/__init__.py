@@ -1,5 +1,5 @@
-"""What each command takes: one module per command, with its arguments, the check of them together, and its examples.
+"""The arguments of each command: one module per command, with its arguments, the check of them together, and examples.
 
-Everything here is checked before anything heavy is imported and before anything is made. The modules of
+Everything is checked before anything heavy is imported and before anything is created. The modules of
 `dynaforge.cli` with the same names do the work.
 """

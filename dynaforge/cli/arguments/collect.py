@@ -42,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
     add_workers(parser, "processes, or actors of the engine ray")
-    parser.set_defaults(workers=None)  # each engine knows its cores
+    parser.set_defaults(workers=None)  # each engine knows how many cores it has
     engines = ("local", "ray")
     parser.add_argument(
         "--engine",
@@ -58,7 +58,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Refuse what no generator would use, and a folder of another task."""
+    """Refuse settings that the generator does not use, and a folder of another task."""
     check_generators(options)
     task, out = chosen_task(options).name, options.out or default_folder(options)
     if (out / "dataset.json").is_file() and (stored := DemonstrationDataset(out).task) != task:
@@ -66,7 +66,7 @@ def check(options: argparse.Namespace) -> None:
 
 
 def default_folder(options: argparse.Namespace) -> Path:
-    """Return where demonstrations are collected by default."""
+    """Return the default folder for demonstrations."""
     return Path("data") / chosen_task(options).name
 
 

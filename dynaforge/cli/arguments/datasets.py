@@ -1,4 +1,4 @@
-"""The folder that the commands on demonstrations take, and what opens it."""
+"""The folder argument of the commands on demonstrations, and how it is opened."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dynaforge.options.paths import ExistingPath
 from dynaforge.tasks import Task
 
 OBSERVATIONS = "folder of `dynaforge render`; by default observations/ if there"
-"""Help of --observations in a command on such a folder."""
+"""Help text of --observations in these commands."""
 
 
 def add_dataset_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the folder and, for user-defined tasks, their file."""
+    """Add the folder and, for user-defined tasks, the option that names the file."""
     folder = ExistingPath("folder", containing="dataset.json", complaint="holds no demonstrations")
     parser.add_argument("folder", type=folder, help="folder of `dynaforge collect`")
     add_own_task_argument(parser)

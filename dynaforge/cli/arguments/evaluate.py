@@ -14,7 +14,7 @@ from dynaforge.options.parser import Distinct
 from dynaforge.options.paths import OutputPath
 from dynaforge.options.words import Choice, Text
 
-NAMED = tuple(name for name in GENERATORS if name != "learner")  # which --learner stands for
+NAMED = tuple(name for name in GENERATORS if name != "learner")  # it is chosen by --learner instead
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Settle which generators are measured, and refuse what none of them would use."""
+    """Complete the list of generators, and refuse settings that none of them uses."""
     if options.observations and not options.learner:
         raise ValueError("--observations is for --learner; no generator looks at pictures.")
     if options.generator is None:

@@ -47,7 +47,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Refuse a budget in which nothing can be measured."""
+    """Refuse a budget too short to measure anything."""
     if options.budget < LEAST_BUDGET:
         raise ValueError(f"--budget is {60 * options.budget:g} s; it must be at least {60 * LEAST_BUDGET:g} s.")
 

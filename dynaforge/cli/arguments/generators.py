@@ -18,7 +18,7 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
 
 
 def check_generators(options: argparse.Namespace) -> None:
-    """Refuse a setting that none of the chosen generators takes."""
+    """Refuse a setting that none of the chosen generators uses."""
     chosen = [options.generator] if isinstance(options.generator, str) else options.generator
     for name, users in SETTINGS.items():
         value = getattr(options, name, None)

@@ -1,4 +1,4 @@
-"""Options that several commands take, with the same meaning in all of them."""
+"""Options with the same meaning in several commands."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from dynaforge.tasks import STREAMS
 MOST_WORKERS = 1000
 
 
-def add_workers(parser: argparse.ArgumentParser, what: str = "processes") -> None:
+def add_workers(parser: argparse.ArgumentParser, meaning: str = "processes") -> None:
     """Add --workers."""
     parser.add_argument(
         "--workers",
         type=WholeNumber(1, MOST_WORKERS),
         default=usable_cores(),
-        help=f"{what}; by default one per core that this process may use",
+        help=f"{meaning}; by default one per core that this process may use",
     )
 
 

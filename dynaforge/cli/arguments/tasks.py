@@ -1,4 +1,4 @@
-"""The one way to name a task on the command line: by its name, by an env id of it, or by its file."""
+"""The arguments that name a task: by its name, by the id of one of its envs, or by its file."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def add_task_argument(
     """Add the argument that `chosen_tasks` or `chosen_task` reads.
 
     Args:
-        parser: The command's.
-        flags: "--task", or "task" where it stands without a flag.
-        several: Whether more than one may be named, or "all".
-        default: What an omitted flag means.
+        parser: Parser of the command.
+        flags: "--task", or "task" for a positional argument.
+        several: Whether several tasks, or "all", may be named.
+        default: The task if the flag is left out.
     """
     known = f"{', '.join(TASK_NAMES)}; an env id of one; or a task file such as ball.py"
     if flags == ("task",):
@@ -40,7 +40,7 @@ def add_task_argument(
 
 
 def add_own_task_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the task of a folder of demonstrations, which only a user-defined task needs."""
+    """Add the option that names the task of a folder of demonstrations, which is needed for user-defined tasks only."""
     parser.add_argument(
         "--task-file",
         "--task",
@@ -52,10 +52,10 @@ def add_own_task_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def task(text: str) -> str:
-    """Check that a task exists, and return what was given for it.
+    """Check that a task exists, and return the text that names it.
 
     Raises:
-        argparse.ArgumentTypeError: It does not.
+        argparse.ArgumentTypeError: The task does not exist.
     """
     if len(text) > LONGEST_PATH or "\0" in text:
         raise Refused(f"is {quoted(text)}; it must be a task's name, an env id or a task file.")
@@ -67,15 +67,15 @@ def task(text: str) -> str:
 
 
 def task_or_all(text: str) -> str:
-    """Return "all", or what `task` does."""
+    """Return "all", or what `task` returns."""
     return text if text == "all" else task(text)
 
 
 def chosen_task(options: argparse.Namespace) -> Task:
-    """Return the one task that was asked for.
+    """Return the task that was asked for.
 
     Raises:
-        ValueError: No such task.
+        ValueError: There is no such task.
     """
     return get_task(options.task)
 
@@ -84,7 +84,7 @@ def chosen_tasks(options: argparse.Namespace) -> list[Task]:
     """Return the tasks that were asked for, in that order; for "all" those of the package.
 
     Raises:
-        ValueError: No such task, or one that was asked for twice, however it was written.
+        ValueError: A task does not exist, or was named twice, in whatever form.
     """
     given = [options.task] if isinstance(options.task, str) else options.task
     tasks = [get_task(name) for name in (TASK_NAMES if given == ["all"] else given)]
