@@ -22,7 +22,7 @@ def test_zero_residual_equals_planner_only_bit_for_bit():
     assert figure.ok, figure
 
 
-def test_a_residual_of_a_nanometre_is_seen(monkeypatch):
+def test_a_residual_of_a_nanometre_is_noticed(monkeypatch):
     exact = ResidualScale.physical
     monkeypatch.setattr(ResidualScale, "physical", lambda *given: exact(*given) + 1e-9)
     (figure,) = bench_determinism.zero_residual(CAN, n=1)
@@ -30,7 +30,7 @@ def test_a_residual_of_a_nanometre_is_seen(monkeypatch):
     assert figure.measured.startswith("0 of 1")
 
 
-def test_six_histories_leave_one_hash_and_a_reset_that_keeps_joint_velocities_is_seen(monkeypatch):
+def test_six_histories_leave_one_hash_and_a_reset_that_keeps_joint_velocities_is_noticed(monkeypatch):
     condition = bench_conditions(CAN, 10)[9]
     (hashes,) = hashes_over_histories("can", [condition])
     assert len(hashes) == 6

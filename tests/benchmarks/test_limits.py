@@ -14,7 +14,7 @@ from dynaforge.tasks import get_task
 CAN = get_task("can")
 
 
-def test_finger_speed_is_measured_over_full_strokes_and_a_faster_motor_is_seen(monkeypatch):
+def test_finger_speed_is_measured_over_full_strokes_and_a_faster_motor_is_noticed(monkeypatch):
     (figure,) = bench_limits.finger_speed(CAN)
     assert figure.ok, figure
     assert all(0.045 < speed <= 0.05 for speed in figure.raw["metres_per_second"].values())
@@ -42,7 +42,7 @@ def straight(q0, q1, seconds, *, dt=0.1):
     return JointTrajectory(dt, q, np.tile((q1 - q0) / seconds, (n + 1, 1)), np.zeros((n + 1, 7)))
 
 
-def test_every_kind_of_excess_of_a_trajectory_is_seen():
+def test_every_kind_of_excess_of_a_trajectory_is_noticed():
     robot = franka()
     collision, ready = CollisionModel(robot), robot.q_ready
     turn = np.eye(7)[0]
@@ -52,7 +52,7 @@ def test_every_kind_of_excess_of_a_trajectory_is_seen():
     assert calm.position == pytest.approx(-0.8421)  # joint 4 is nearest its limit: -2.2 of -3.0421 rad
     fast = straight(ready, ready + 1.31 * turn, 0.4)
     assert bench_limits.limit_use(fast, robot, collision).velocity == pytest.approx(1.25)
-    quiet = replace(fast, dq=0.0 * fast.dq)  # claims to stand, and moves
+    quiet = replace(fast, dq=0.0 * fast.dq)  # says that it stands still, but moves
     assert not bench_limits.limit_use(quiet, robot, collision).inside
     jump = replace(fast, dq=np.where(np.arange(5)[:, None] < 2, 0.0, 2.0 * turn))  # 2 rad/s in 0.1 s, of 10 rad/s^2
     assert bench_limits.limit_use(jump, robot, collision).acceleration == pytest.approx(2.0)
@@ -65,7 +65,7 @@ def test_every_kind_of_excess_of_a_trajectory_is_seen():
     assert not through.inside
 
 
-def test_a_hit_between_two_free_samples_is_seen():
+def test_a_hit_between_two_free_samples_is_noticed():
     robot = franka()
     x, y, _ = ArmKinematics(robot).forward(robot.q_ready).position
     post = Obstacle("post", "cylinder", (0.02, 2.0), Pose(np.eye(3), np.array((x, y, 1.0))))

@@ -9,7 +9,7 @@ from dynaforge.tasks import get_task
 CAN = get_task("can")
 
 
-def test_bench_holds_where_fixtures_move_and_there_is_no_free_body():
+def test_bench_works_where_fixtures_move_and_there_is_no_free_body():
     clock = get_task("alarmclock")
     (figure,) = bench_determinism.zero_residual(clock, n=1)
     assert figure.ok, figure

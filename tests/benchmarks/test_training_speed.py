@@ -19,7 +19,7 @@ def test_the_trainer_is_measured_against_ppo_on_equal_transitions() -> None:
     assert all(0 < value < 1e-3 for row in seconds.values() for value in row)
 
 
-def test_a_timed_env_counts_its_steps_alone() -> None:
+def test_a_timed_env_counts_only_its_steps() -> None:
     env = bench_training.TimedEnv("can")
     env.reset(seed=0)
     assert env.cpu == 0.0

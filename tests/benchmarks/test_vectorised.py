@@ -24,7 +24,7 @@ def test_what_vectorising_wastes_is_what_the_overhead_says(monkeypatch):
         lambda: BusyLoopEnv(1e-4), "test", rounds=2, n_envs=2, n_workers=1, n_steps=10
     )
     assert len(overheads) == len(gains) == 2
-    assert all(1e-3 <= value < 2e-3 for value in overheads)  # 2 ms a step of two envs, and its own cost
+    assert all(1e-3 <= value < 2e-3 for value in overheads)  # 2 ms per step of two envs, and its own cost
     assert all(value > 0.0 for value in gains)
 
 

@@ -27,7 +27,7 @@ def test_every_attempt_is_in_the_denominator():
     assert sum(one.n for one in report.bins) == 6
 
 
-def test_bins_divide_the_range_equally_and_hold_its_ends():
+def test_bins_divide_the_range_equally_and_include_its_ends():
     report = DgrReport.from_attempts(trials(), difficulty_range=(0.0, 1.0))
     assert [one.n for one in report.bins] == [2, 0, 0, 1, 1, 0, 0, 2]
     assert report.edges == tuple(i / 8 for i in range(9))

@@ -107,8 +107,8 @@ def test_bootstrap_excludes_zero_only_for_a_real_difference():
 
 
 def test_bootstrap_width_knows_both_seeds_and_conditions():
-    by_seed = np.repeat([[1], [0], [1], [0]], 50, axis=1)  # differs between seeds alone
-    by_condition = np.tile(np.arange(50) % 2, (4, 1))  # differs between conditions alone
+    by_seed = np.repeat([[1], [0], [1], [0]], 50, axis=1)  # differs only between seeds
+    by_condition = np.tile(np.arange(50) % 2, (4, 1))  # differs only between conditions
     none = np.zeros((4, 50))
     for outcomes, n in ((by_seed, 4), (by_condition, 50)):
         low, high = bootstrap_over(none, outcomes, rng=np.random.default_rng(0), resamples=4000).interval

@@ -49,7 +49,7 @@ def test_kill_at_any_stage_leaves_the_old_file(tmp_path):
     leftovers = [path for path in tmp_path.iterdir() if is_temporary(path)]
     assert len(leftovers) == 3
     assert [(tmp_path / stage).read_bytes() for stage in ("write", "fsync", "replace")] == [b"old"] * 3
-    assert remove_stale(tmp_path) == 0  # they may be in someone's hand
+    assert remove_stale(tmp_path) == 0  # a process may still be writing them
     assert remove_stale(tmp_path, older_than=-1.0) == 3
 
 
@@ -59,12 +59,12 @@ def test_killed_collector_loses_no_finished_episode(tmp_path):
     command = [sys.executable, "-c", WRITE_ON, str(tmp_path / "d")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
-        told = [child.stdout.readline().strip() for _ in range(5)]
+        finished = [child.stdout.readline().strip() for _ in range(5)]
         time.sleep(0.0137)
         os.kill(child.pid, signal.SIGKILL)
-        told += child.stdout.read().split()
+        finished += child.stdout.read().split()
     data = DemonstrationDataset(tmp_path / "d", task="can")
-    assert {f"{one}-planner" for one in told if len(one) == 16} <= set(data.ids())
+    assert {f"{one}-planner" for one in finished if len(one) == 16} <= set(data.ids())
     assert all(len(episode) == 5000 for episode in data)
     assert {attempt.id for attempt in data.ledger.attempts()} == set(data.ids())
 

@@ -71,7 +71,7 @@ class Chromium:
                 return dict(answer["result"])
 
     def open(self, url: str, *, width: int = 1280, height: int = 900) -> None:
-        """Load a page afresh at a size."""
+        """Load a page in a window of a size."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
         self.call("Page.navigate", url="about:blank")
         self.until("location.href === 'about:blank'")
@@ -85,7 +85,7 @@ class Chromium:
         return answer["result"].get("value")
 
     def until(self, expression: str) -> None:
-        """Wait until an expression holds."""
+        """Wait until an expression is true."""
         end = time.monotonic() + SECONDS
         while not self.ask(expression):
             assert time.monotonic() < end, f"never: {expression}"
@@ -98,11 +98,11 @@ class Chromium:
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
 
     def picture(self, path: Path) -> None:
-        """Save what is to be seen, as PNG."""
+        """Save a screenshot as PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:
-        """End it."""
+        """Close the browser."""
         self._session = ""
         self.call("Browser.close")
         os.waitpid(self._process, 0)

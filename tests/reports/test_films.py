@@ -1,4 +1,4 @@
-"""A film holds one picture a control step, and filming an episode does not change it."""
+"""A film has one picture per control step, and filming an episode does not change it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def blank(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(env: gym.Env[Any, Any], policy: Any, *, seed: int = 1, render: bool = False) -> dict[str, Any]:
-    """Run an episode; returns its decisions, its states by time and its end, with the time after each step."""
+    """Run an episode; return its decisions, its states by time and its end, with the time after each step."""
     inner = env.unwrapped
     states: dict[float, bytes] = {}
     decisions = []
@@ -78,7 +78,7 @@ def test_pictures_that_stop_and_start_leave_the_decisions_alone(blank: None) -> 
     env.close()
 
 
-def test_every_recorder_takes_a_picture_a_control_step(blank: None, tmp_path: Path) -> None:
+def test_every_recorder_takes_a_picture_per_control_step(blank: None, tmp_path: Path) -> None:
     zero = np.zeros(5, np.float32)
     listed = gym.make("DynaForge/Can-v0", render_mode="rgb_array_list")
     recorded = RecordVideo(gym.make("DynaForge/Can-v0", render_mode="rgb_array"), str(tmp_path / "film"))

@@ -109,7 +109,7 @@ def test_mp4_is_h264_yuv420p_with_its_index_in_front(mp4, tmp_path):
     np.testing.assert_allclose(frames.mean((1, 2, 3)), [40 * i for i in range(6)], atol=6)
 
 
-def test_gif_and_contact_sheet_have_the_asked_size():
+def test_gif_and_contact_sheet_have_the_requested_size():
     gif = encode_gif(film(), fps=10, width=32)
     assert gif.startswith(b"GIF89a")
     assert int.from_bytes(gif[6:8], "little") == 32
@@ -130,7 +130,7 @@ def test_gif_and_contact_sheet_have_the_asked_size():
         ([np.zeros((4, 4, 3))], "uint8"),
     ],
 )
-def test_frames_that_are_no_film_are_refused(frames, message):
+def test_frames_that_make_no_film_are_refused(frames, message):
     with pytest.raises(ValueError, match=message):
         encode_mp4(frames)
 

@@ -142,7 +142,7 @@ def test_every_value_has_its_unit(data: Path) -> None:
 
 
 def test_a_clip_lasts_as_long_as_its_episode(data: Path, tmp_path: Path) -> None:
-    """At true speed, and so do the views of cameras."""
+    """At real speed, as the views of its cameras do."""
     program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
     row = next(row for row in embedded(data / "view.html") if "time" in row)
     assert [name for name, _ in row["views"]] == ["side", "wrist"]
@@ -150,8 +150,8 @@ def test_a_clip_lasts_as_long_as_its_episode(data: Path, tmp_path: Path) -> None
         path = tmp_path / "film.mp4"
         path.write_bytes(base64.b64decode(film))
         command = [program, "-i", str(path)]
-        told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False).stderr
-        found = re.search(r"Duration: 00:00:([\d.]+)", told)
+        printed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False).stderr
+        found = re.search(r"Duration: 00:00:([\d.]+)", printed)
         assert found
         assert abs(float(found[1]) - len(row["time"]) / 30) <= picture / 30
 
@@ -172,18 +172,17 @@ def test_what_is_not_shown_is_explained(tmp_path: Path) -> None:
 def test_the_summary_counts_every_attempt() -> None:
     fast = attempt(9, "")
     object.__setattr__(fast, "condition", replace(fast.condition, difficulty=1.5))
-    told = summarise(CAN, [attempt(1), attempt(2), attempt(3, "dropped", duration=4.0), fast])
-    assert [count[1:3] for count in told["bins"]] == [[0, 0]] * 2 + [[3, 0]] + [[0, 0]] * 4 + [[1, 1]]
-    assert told["failures"] == [("lost track", 2), ("dropped", 1)]
-    assert told["generators"][0][:3] == ["x", 4, 1]
-    assert told["lengths"]["longest"] == 4.0
-    assert (sum(told["lengths"]["successes"]), sum(told["lengths"]["failures"])) == (1, 3)
+    summary = summarise(CAN, [attempt(1), attempt(2), attempt(3, "dropped", duration=4.0), fast])
+    assert [count[1:3] for count in summary["bins"]] == [[0, 0]] * 2 + [[3, 0]] + [[0, 0]] * 4 + [[1, 1]]
+    assert summary["failures"] == [("lost track", 2), ("dropped", 1)]
+    assert summary["generators"][0][:3] == ["x", 4, 1]
+    assert summary["lengths"]["longest"] == 4.0
+    assert (sum(summary["lengths"]["successes"]), sum(summary["lengths"]["failures"])) == (1, 3)
 
 
 def test_a_recording_that_cannot_be_read_leaves_a_page(data: Path, tmp_path: Path, capsys: Any) -> None:
-    held = DemonstrationDataset(data)
     dataset = DemonstrationDataset(tmp_path / "can", task="can", keep_failures=True)
-    for episode in held:
+    for episode in DemonstrationDataset(data):
         dataset.add(episode)
     name = dataset.ids()[0]
     dataset.file_of(name).write_bytes(b"broken")
@@ -287,8 +286,8 @@ def test_a_phone_scrolls_to_what_was_chosen(data: Path, browser: Chromium) -> No
 
 
 def test_nothing_in_the_data_runs(data: Path, tmp_path: Path, browser: Chromium) -> None:
-    held = DemonstrationDataset(data)
-    episode = held[held.ids()[0]]
+    dataset = DemonstrationDataset(data)
+    episode = dataset[dataset.ids()[0]]
     meta = {**episode.meta, "phases": [HOSTILE, {"a": HOSTILE}], "contact_time": HOSTILE}
     evil = replace(episode, condition=replace(episode.condition, values={HOSTILE: 0.5, "__proto__": 0.5}), meta=meta)
     shown = ViewerEpisode(id=evil.id, episode=evil, views={HOSTILE: b"", "__proto__": b"", "b": b""}, note=HOSTILE)

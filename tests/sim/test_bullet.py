@@ -1,4 +1,4 @@
-"""Bullet keeps off the terminal of the process, and the process off Bullet's exit()."""
+"""Bullet prints nothing to the terminal, and never ends the process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dynaforge.sim.bullet import connect
 def test_connecting_prints_nothing_and_leaves_the_descriptors_alone(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Envs are made in threads, too: what points a descriptor elsewhere there sends all output astray."""
+    """Envs are made in threads too, where redirecting a descriptor would redirect the output of all of them."""
 
     def refuse(*args: Any, **kwargs: Any) -> None:
         raise AssertionError("a descriptor was touched")

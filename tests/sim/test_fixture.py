@@ -89,7 +89,7 @@ def test_the_speed_of_a_drive_is_the_derivative_of_its_position() -> None:
         assert SWING.speed(t) == pytest.approx(numeric, abs=1e-7)
 
 
-def test_what_lies_on_a_fixture_is_carried_by_friction_alone(spec: SceneSpec) -> None:
+def test_what_lies_on_a_fixture_is_carried_only_by_friction(spec: SceneSpec) -> None:
     gentle, fierce = Drive(amplitude=0.1, frequency=3.0), Drive(amplitude=0.1, frequency=20.0)  # 0.9 and 40 m/s^2
     left = []
     for drive in (gentle, fierce):
@@ -111,7 +111,7 @@ def test_a_spring_holds_its_button_until_something_heavy_presses_it(spec: SceneS
         assert state.pressed["slider"] < 0.009, "the joint's limit holds"
 
 
-def test_a_condition_picks_the_variant_and_the_others_wait(spec: SceneSpec) -> None:
+def test_a_condition_chooses_the_variant_and_the_others_wait(spec: SceneSpec) -> None:
     for variant in (0, 1, 0):
         scene = SimScene(replace(spec, launch=lambda _, v=variant: start(variant=v)))
         scene.reset(CONDITION)

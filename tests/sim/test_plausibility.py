@@ -1,4 +1,4 @@
-"""Whole episodes, gentle and wild: what physics does must be possible."""
+"""In whole episodes, gentle and wild, everything that physics does is possible."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def free_bodies(watch: Watch) -> list[str]:
 
 
 def cases(n: int, **options: Any) -> list[Any]:
-    """List n episodes of every task, by the planner alone and under random residuals at full scale."""
+    """List n episodes of every task, by planner only and under random residuals at full scale."""
     return [
         pytest.param((name, scale, n), id=f"{name}-{scale:g}-{n}", **options)
         for name in ENV_NAMES

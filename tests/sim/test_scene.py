@@ -210,7 +210,7 @@ def test_a_broken_urdf_is_named_in_one_line(tmp_path: Path, text: str) -> None:
     assert str(broken) in error
 
 
-def test_closing_twice_is_legal() -> None:
+def test_closing_twice_is_safe() -> None:
     scene = SimScene(TASK.scene)
     scene.close()
     scene.close()

@@ -22,7 +22,7 @@ def model(algorithm: type, *, seed: int = 0, width: int = 8):
 
 
 @pytest.mark.parametrize("algorithm", [PPO, FrontierGRPO])
-def test_a_checkpoint_holds_all_that_an_update_depends_on(algorithm: type, tmp_path: Path) -> None:
+def test_a_checkpoint_contains_all_that_an_update_depends_on(algorithm: type, tmp_path: Path) -> None:
     trained, other = model(algorithm).learn(20), model(algorithm, seed=1)
     save_checkpoint(trained, tmp_path / "c")
     load_checkpoint(other, tmp_path / "c", seed=0)
@@ -41,7 +41,7 @@ def tensors(state: object) -> list[th.Tensor]:
     return [state] if isinstance(state, th.Tensor) else []
 
 
-def test_what_is_no_checkpoint_of_the_run_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_checkpoint_of_the_run_is_refused_in_one_line(tmp_path: Path) -> None:
     path, mine = tmp_path / "c", model(FrontierGRPO)
     save_checkpoint(model(FrontierGRPO, width=4), path)
     wrong = [path.read_bytes(), path.read_bytes()[:200], b"PK\x03\x04", b""]

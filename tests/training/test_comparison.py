@@ -94,7 +94,7 @@ def test_steps_to_vanilla_without_exploration_are_those_of_three_probes() -> Non
     assert [summary.final_probes for summary in summaries] == [0.5, 0.8, 0.0]
 
 
-def test_the_table_holds_every_variant_and_the_ratios() -> None:
+def test_the_table_contains_every_variant_and_the_ratios() -> None:
     table = comparison_table(RUNS)
     row = next(line for line in table.splitlines() if "frontier_grpo" in line)
     for cell in ("90.0", "10", "+40.0", "0.25 x", "4.0", "0.40"):

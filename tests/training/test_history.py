@@ -29,7 +29,7 @@ def test_success_is_the_mean_over_the_strata_that_were_tried() -> None:
     assert len(history()) == 3
 
 
-def test_what_a_checkpoint_knows_ends_at_its_steps() -> None:
+def test_the_part_up_to_a_checkpoint_ends_at_its_steps() -> None:
     part = history().up_to(25)
     assert part.timesteps == [10, 25]
     assert part.groups == [[1, 1, 0], [1, 0, 1]]
@@ -38,7 +38,7 @@ def test_what_a_checkpoint_knows_ends_at_its_steps() -> None:
     assert len(history().up_to(9)) == 0
 
 
-def test_it_survives_a_file(tmp_path: Path) -> None:
+def test_a_history_survives_a_file(tmp_path: Path) -> None:
     history().save(tmp_path / "history.json")
     assert TrainingHistory.load(tmp_path / "history.json") == history()
 
@@ -59,7 +59,7 @@ def test_it_survives_a_file(tmp_path: Path) -> None:
         '{"probes": [{"update": 1, "timesteps": 1, "success": 3}]}',
     ],
 )
-def test_another_file_is_named(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_a_history_is_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "history.json"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"history\.json is not a training history"):

@@ -1,4 +1,4 @@
-"""A task's finished runs in one file stand for their folders."""
+"""The finished runs of a task in one file replace their folders."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run_folder(folder: Path, *, seed: int | None, outcomes: tuple[str, ...] = ("
     return folder
 
 
-def test_an_archive_stands_for_the_folders_that_it_was_written_from(tmp_path: Path) -> None:
+def test_an_archive_replaces_the_folders_that_it_was_written_from(tmp_path: Path) -> None:
     folders = [run_folder(tmp_path / "can" / "planner_only", seed=None)]
     folders += [run_folder(tmp_path / "can" / "grpo" / f"seed-{seed}", seed=seed) for seed in (0, 1)]
     files = [read_run(folder) for folder in folders]
@@ -44,7 +44,7 @@ def test_an_archive_stands_for_the_folders_that_it_was_written_from(tmp_path: Pa
     assert stored.history is not None
 
 
-def test_a_folder_goes_before_the_archive(tmp_path: Path) -> None:
+def test_a_folder_takes_precedence_over_the_archive(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "can" / "grpo" / "seed-0", seed=0)
     write_archives([folder])
     shutil.rmtree(folder)
@@ -66,9 +66,9 @@ def test_a_damaged_archive_is_named_in_one_line(text: str, tmp_path: Path, capsy
     (tmp_path / "can").mkdir()
     (tmp_path / "can" / ARCHIVE).write_text(text)
     assert main(["compare", "--task", "can", "--algos", "grpo", "--report-only", "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert f"{tmp_path / 'can' / ARCHIVE} is not an archive of runs" in said
-    assert said.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert f"{tmp_path / 'can' / ARCHIVE} is not an archive of runs" in printed
+    assert printed.count("\n") == 1
 
 
 @pytest.mark.slow
