@@ -24,7 +24,7 @@ def test_frontier_grpo_takes_the_env_id_and_saves_and_loads(tmp_path: Path) -> N
     model.get_env().close()
 
 
-def test_an_untrained_residual_is_the_planner_alone() -> None:
+def test_an_untrained_residual_leaves_the_planner_as_it_is() -> None:
     model = FrontierGRPO("MlpPolicy", "DynaForge/Can-v0", seed=0)
     observation = np.ones(model.observation_space.shape, np.float32)
     assert not model.predict(observation, deterministic=True)[0].any()

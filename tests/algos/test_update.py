@@ -67,7 +67,7 @@ def moved(anchor_coef: float, anchored_at: th.Tensor | None) -> tuple[float, flo
     return here, there, report.optimizer_steps
 
 
-def test_an_anchor_holds_the_policy_where_it_always_wins_and_costs_no_optimizer_step() -> None:
+def test_an_anchor_keeps_the_policy_where_it_always_succeeds_and_costs_no_optimizer_step() -> None:
     here, there, steps = moved(0.0, None)
     held_here, held_there, held_steps = moved(10.0, THERE)
     assert there > 0.01, "without an anchor the mean drifts where nothing was learned"

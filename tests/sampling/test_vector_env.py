@@ -327,7 +327,7 @@ def test_a_worker_killed_in_a_step_is_named_and_leaves_nothing_behind(make):
     assert not any(running(pid) for pid in pids)
 
 
-def test_a_worker_killed_between_steps_is_reported_with_the_conditions_it_held(make):
+def test_a_worker_killed_between_steps_is_reported_with_the_conditions_it_ran(make):
     env = make(2)
     env.set_options([{"condition": SimpleNamespace(id="aa")}, {"condition": SimpleNamespace(id="bb")}])
     env.reset()
