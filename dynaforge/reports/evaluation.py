@@ -47,8 +47,10 @@ class Gain:
         line = f"{self.generator} against {self.against}: {describe_gain(self.paired)}"
         if self.worse_bins is None:
             return line
-        bins = ", ".join(str(index + 1) for index in self.worse_bins)  # counted from 1, the easiest
-        return f"{line}\nworse in difficulty bins: {bins or 'none'} of {BINS}"
+        if not self.worse_bins:
+            return f"{line}\nworse in none of {BINS} difficulty bins"
+        bins = ", ".join(str(index + 1) for index in self.worse_bins)
+        return f"{line}\nworse in difficulty bins {bins} (1 to {BINS}, easiest first)"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the gain as plain JSON data."""
