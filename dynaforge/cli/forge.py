@@ -85,11 +85,8 @@ def run(options: argparse.Namespace) -> int:
             paired=paired,
             attempts=pair[1],
         )
-    print()
-    print(comparison_table(reports, paired=paired))
-    print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
-    print(f"policy  {out / POLICY}")
-    print(f"report  {out / REPORT}")
+    print(f"\n{comparison_table(reports, paired=paired)}")
+    _print_results(out, dataset)
     print(f"took {(time.monotonic() - started) / 60:.1f} minutes")
     return 0 if len(dataset) >= options.demos else 1
 
@@ -116,6 +113,12 @@ def _measured(
 
 def _attempts(measured: dict[str, Any]) -> list[list[Attempt]]:
     return [[Attempt.from_dict(data) for data in attempts] for attempts in measured["attempts"]]
+
+
+def _print_results(out: Path, dataset: DemonstrationDataset) -> None:
+    print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
+    print(f"policy  {out / POLICY}")
+    print(f"report  {out / REPORT}")
 
 
 def _report(task: Task, attempts: list[Attempt]) -> DgrReport:

@@ -119,12 +119,12 @@ def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
     if "joint_velocity_reference" in steps:
         velocity = steps["joint_velocity_reference"]
         share = (np.abs(velocity) / robot.dq_max).max(axis=1)
-        yield from _flag(share > MARGIN, "a joint is asked for {:.2f} of its speed limit", share)
+        yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its speed limit", share)
         acceleration = np.diff(velocity, axis=0) / dt
         share = (np.abs(acceleration) / robot.ddq_max).max(axis=1)
-        yield from _flag(share > MARGIN, "a joint is asked for {:.2f} of its acceleration limit", share)
+        yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its acceleration limit", share)
         jerk = (np.abs(np.diff(acceleration, axis=0) / dt[1:]) / robot.dddq_max).max(axis=1)
-        yield from _flag(jerk > MARGIN, "a joint is asked for {:.2f} of its jerk limit", jerk)
+        yield from _flag(jerk > MARGIN, "a joint is commanded to {:.2f} of its jerk limit", jerk)
 
 
 def _hand_alone(episode: Episode) -> NDArray[np.bool_]:

@@ -107,7 +107,8 @@ def verify_folder(dataset: DemonstrationDataset, notes: Notes, task: Task | None
         if (attempt.success or attempt.recorded) and attempt.id not in names:
             found.append(Finding(dataset.file_of(attempt.id), "the recording of this attempt is missing"))
     for name in sorted(names - set(notes.attempts)):
-        found.append(Finding(ledger, f"no line tells of {name}: lost, or a kill fell before it (`collect` adds it)"))
+        problem = f"there is no line for {name}: it was removed, or a kill came before it (`collect` adds it)"
+        found.append(Finding(ledger, problem))
     if notes.sources == {} and (names or noted):
         found.append(Finding(dataset.path / SOURCES, "it is missing, so nothing says what made the attempts"))
     found += [Finding(path, f"it is {kind_of(path)}") for path in files_in(dataset.path) if _odd(path)]

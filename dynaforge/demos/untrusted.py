@@ -120,9 +120,9 @@ def open_file(path: Path, *, at_most: int, remedy: str = "collect") -> Iterator[
     with os.fdopen(descriptor, "rb") as file:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
-            raise DamagedFileError(path, "it is no file any more", remedy=remedy)
+            raise DamagedFileError(path, "it is no longer a file", remedy=remedy)
         if status.st_size > at_most:
-            reason = f"it is {status.st_size / 1e6:.0f} MB long, where {at_most / 1e6:.0f} MB are the most that is read"
+            reason = f"it is {status.st_size / 1e6:.0f} MB long; at most {at_most / 1e6:.0f} MB are read"
             raise DamagedFileError(path, reason, remedy=remedy)
         yield file
 

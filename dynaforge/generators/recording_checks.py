@@ -64,7 +64,7 @@ def check_recordings(options: VerifyOptions, names: Sequence[str], *, workers: i
             yield from map(checker.check, names)
         return
     file_of, remaining = DemonstrationDataset(options.folder).file_of, list(names)
-    problem = f"looking at it ends the process, or takes more than {TIMEOUT:g} s"
+    problem = f"checking it ends the process, or takes more than {TIMEOUT:g} s"
     while remaining:
         done = yield from _check_in_pool(options, remaining, workers)
         # A single worker, which checks one recording at a time, shows which of the next ones ended a worker.

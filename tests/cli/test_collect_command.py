@@ -41,10 +41,10 @@ def test_a_full_disk_costs_nothing_that_was_finished(
     dataset = DemonstrationDataset(folder)
     assert 0 < len(dataset) < 4
     assert not [finding for findings in verify(dataset) for finding in findings]
-    held = {episode.id: episode.content_hash() for episode in dataset}
+    recorded = {episode.id: episode.content_hash() for episode in dataset}
     assert main([*command, "--out", str(folder)]) == 0
     after = {episode.id: episode.content_hash() for episode in DemonstrationDataset(folder)}
-    assert held.items() <= after.items()
+    assert recorded.items() <= after.items()
     assert len(after) == 4
 
 

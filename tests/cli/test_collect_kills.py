@@ -1,4 +1,4 @@
-"""What a kill at any instant leaves behind: whole episodes, an honest ledger, and a collection that goes on."""
+"""What a kill at any instant leaves behind: whole episodes, an honest ledger, and a collection that resumes."""
 
 from __future__ import annotations
 
@@ -89,11 +89,11 @@ def killed_again_and_again(folder: Path, reference: Path, *, kills: int) -> None
             process.wait()
         if not (folder / "dataset.json").is_file():
             continue
-        held = read_back(DemonstrationDataset(folder), finished)
-        lost = [name for name in finished if name not in held or held[name].content != finished[name].content]
-        assert not lost, "a finished episode was lost or changed"
-        grew += len(held) > len(finished)
-        finished = held
+        stored = read_back(DemonstrationDataset(folder), finished)
+        changed = [name for name in finished if name not in stored or stored[name].content != finished[name].content]
+        assert not changed, "a finished episode was lost or changed"
+        grew += len(stored) > len(finished)
+        finished = stored
     attempts = len(DemonstrationDataset(folder).attempts()) + 10
     assert start(folder, attempts).wait() == 0
     assert start(reference, attempts).wait() == 0

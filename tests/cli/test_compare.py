@@ -115,12 +115,12 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
     monkeypatch.setattr(runs, "PROBED_EVERY", 2)
     whole, cut = tiny(tmp_path / "whole"), tiny(tmp_path / "cut")
     runs.train(whole)
-    told = 0
+    calls = 0
 
     def cut_off(**what: object) -> None:
-        nonlocal told
-        told += 1
-        if told == 2:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

@@ -30,8 +30,8 @@ def test_a_folder_and_its_card(data: Path, name: str, capsys: pytest.CaptureFixt
     out = data.with_name(f"peach-{name}")
     assert "2 demonstrations" in capsys.readouterr().out
     card = (out / "README.md").read_text()
-    for told in ("Peach: 2 demonstrations", "of 2 attempts", "joint_7, width", "license: mit", f"format | {name}"):
-        assert told in card, told
+    for words in ("Peach: 2 demonstrations", "of 2 attempts", "joint_7, width", "license: mit", f"format | {name}"):
+        assert words in card, words
     assert (out / "contact.png").read_bytes().startswith(b"\x89PNG")
     assert main(["export", str(data), "--format", name]) == 2
     assert "exists already" in capsys.readouterr().err
@@ -72,7 +72,7 @@ def test_what_was_rendered_can_be_left_out_and_what_a_kill_left_is_cleared_away(
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--observations", "OBSERVATIONS", "--no-observations"], "--no-observations leaves out"),
         (["--actions", "joint", "--rotation", "rotation_6d"], "--rotation rotation_6d belongs to --actions ee"),
@@ -82,7 +82,7 @@ def test_what_was_rendered_can_be_left_out_and_what_a_kill_left_is_cleared_away(
     ],
 )
 def test_options_that_contradict_each_other_are_refused_before_the_work(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], told: str
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:
     seen = tmp_path / "seen"
     ObservationFolder(seen, ObservationSettings((standard_cameras(get_task("peach"))["front"],)))
@@ -92,7 +92,7 @@ def test_options_that_contradict_each_other_are_refused_before_the_work(
     except SystemExit as leaving:  # argparse's way
         status = int(leaving.code or 0)
     assert status == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -108,9 +108,9 @@ def test_what_cannot_be_simulated_again_is_exported_without_a_contact_sheet(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As with other versions of the physics; the card keeps the generators apart."""
-    held = DemonstrationDataset(data)
+    original = DemonstrationDataset(data)
     dataset = DemonstrationDataset(tmp_path / "peach", task="peach", keep_failures=True)
-    for k, episode in enumerate(held):
+    for k, episode in enumerate(original):
         steps = dict(episode.steps) | {"q": episode.steps["q"] + 1e-9}
         dataset.add(replace(episode, steps=steps, generator=("planner_only", "residual")[k]))
     assert main(["export", str(dataset.path), "--format", "robomimic", "--failures"]) == 0

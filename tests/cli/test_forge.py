@@ -88,11 +88,11 @@ def test_without_a_folder_the_latest_run_that_waits_goes_on(tmp_path: Path, monk
 
     first = opened()
     assert first.path == Path("runs/can-1")
-    assert first.stage("planner", lambda: {"wins": 3}) == {"wins": 3}
+    assert first.stage("planner", lambda: {"successes": 3}) == {"successes": 3}
     again = opened("--workers", "1")
     assert again.path == first.path
     assert again.resumed
-    assert again.stage("planner", lambda: pytest.fail("made again")) == {"wins": 3}
+    assert again.stage("planner", lambda: pytest.fail("made again")) == {"successes": 3}
     assert opened("--seed", "1").path == Path("runs/can-2")
     assert opened("--seed", "1").path == Path("runs/can-2")
     assert opened().path == Path("runs/can-3")
@@ -114,7 +114,7 @@ def test_forge_that_is_killed_again_and_again_comes_to_its_end(tmp_path: Path) -
             history = out / "history.json"
             updates.append(len(TrainingHistory.load(history)) if history.is_file() else 0)
             continue
-        assert done.returncode in (0, 1), done.stderr  # 1: too few demonstrations won
+        assert done.returncode in (0, 1), done.stderr  # 1: too few demonstrations
         break
     assert updates == sorted(updates)
     assert len(TrainingHistory.load(out / "history.json")) == 2

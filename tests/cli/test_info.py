@@ -25,7 +25,7 @@ def test_info_tells_of_rates_lengths_residuals_and_size(tmp_path: Path, capsys: 
     assert f"  width       {width.min():+.3f} to {width.max():+.3f}" in printed
     speeds = [line for line in printed.splitlines() if line.startswith("  speed ")]
     assert speeds[0].endswith(f"{len({int((e.condition.difficulty - 0.05) / 1.45 * 16) for e in dataset})} of 16 parts")
-    assert "width       +0.000 +0.000 +0.000" in printed, "the planner alone has no residual"
+    assert "width       +0.000 +0.000 +0.000" in printed, "the planner has no residual"
 
 
 def test_info_of_an_empty_folder_and_of_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,8 +50,8 @@ def test_a_recording_that_ends_its_worker_is_a_finding_and_the_rest_goes_on(data
     found = list(check_recordings(options, names, workers=2))
     assert len(found) == len(names)
     for k, findings in enumerate(found):
-        told = [finding.problem for finding in findings if "task_hash" not in finding.problem]
-        assert any("ends the process" in problem for problem in told) == (k == 4), told
+        problems = [finding.problem for finding in findings if "task_hash" not in finding.problem]
+        assert any("ends the process" in problem for problem in problems) == (k == 4), problems
         assert [finding.path for finding in findings] == [dataset.file_of(names[k])] * len(findings)
 
 

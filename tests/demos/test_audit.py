@@ -80,8 +80,8 @@ def ask_for_too_much_acceleration(steps: Columns) -> None:
         (beyond_a_joint_limit, "beyond its limit"),
         (too_fast, "a joint moves at 1.53 of its speed limit"),
         (snap, "the hand opens or closes at 1.2"),
-        (ask_for_too_much_speed, "asked for 1.07 of its speed limit"),
-        (ask_for_too_much_acceleration, "asked for 1.50 of its acceleration limit"),
+        (ask_for_too_much_speed, "commanded to 1.07 of its speed limit"),
+        (ask_for_too_much_acceleration, "commanded to 1.50 of its acceleration limit"),
     ],
 )
 def test_an_edit_is_flagged_where_it_was_made(can: Episode, edit: Callable[[Columns], None], violation: str) -> None:
@@ -95,7 +95,7 @@ def test_jerk_counts_too(can: Episode) -> None:
     steps = {name: column.copy() for name, column in can.steps.items()}
     steps["joint_velocity_reference"][:] = 0.0
     steps["joint_velocity_reference"][5] = 3.0  # up and down again: 2 x 90 rad/s^2 within 1/30 s
-    assert "asked for 1.08 of its jerk limit" in " ".join(map(str, audit.audit(replace(can, steps=steps))))
+    assert "commanded to 1.08 of its jerk limit" in " ".join(map(str, audit.audit(replace(can, steps=steps))))
 
 
 def test_a_lasting_overlap_is_flagged(can: Episode, monkeypatch: pytest.MonkeyPatch) -> None:

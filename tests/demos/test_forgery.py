@@ -132,10 +132,10 @@ def test_a_column_that_follows_from_others_is_named_without_a_replay(
 
 def failed(episode: Episode, **outcome: Any) -> Episode:
     """Tell another outcome, with the reward that goes with it."""
-    told = replace(episode.outcome, n_checkpoints=None, **outcome)
+    claimed = replace(episode.outcome, n_checkpoints=None, **outcome)
     rewards = episode.steps["reward"].copy()
-    rewards[-1] = 1.0 if told.success else told.checkpoint / get_task(TASK).n_checkpoints
-    return replace(episode, outcome=told, steps=dict(episode.steps) | {"reward": rewards})
+    rewards[-1] = 1.0 if claimed.success else claimed.checkpoint / get_task(TASK).n_checkpoints
+    return replace(episode, outcome=claimed, steps=dict(episode.steps) | {"reward": rewards})
 
 
 def other_condition(episode: Episode) -> Episode:

@@ -160,9 +160,9 @@ def test_a_camera_whose_name_is_no_part_of_a_file_name_is_refused_where_settings
 ) -> None:
     """Settings come with a downloaded dataset; exports name files by their cameras."""
     ObservationFolder(tmp_path, settings("can", "front"))
-    held = json.loads((tmp_path / "settings.json").read_text())
-    held["cameras"][0]["name"] = name
-    (tmp_path / "settings.json").write_text(json.dumps(held))
+    stored = json.loads((tmp_path / "settings.json").read_text())
+    stored["cameras"][0]["name"] = name
+    (tmp_path / "settings.json").write_text(json.dumps(stored))
     with pytest.raises(DamagedFileError, match=r"no name for a camera|Camera: name is"):
         ObservationFolder(tmp_path)
     with pytest.raises(ValueError, match=r"no name for a camera|Camera: name is"):

@@ -85,7 +85,7 @@ def test_a_pack_pickles_as_the_name_of_its_folder(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize(
-    ("name", "frame", "before", "after", "error", "told"),
+    ("name", "frame", "before", "after", "error", "message"),
     [
         ("action", -1, 0, 0, IndexError, "frames 0 to 6"),
         ("action", 7, 0, 0, IndexError, "No frame 7"),
@@ -98,10 +98,10 @@ def test_a_pack_pickles_as_the_name_of_its_folder(tmp_path: Path, monkeypatch: p
     ],
 )
 def test_windows_that_are_none_are_refused(
-    tmp_path: Path, name: str, frame: Any, before: int, after: int, error: type[Exception], told: str
+    tmp_path: Path, name: str, frame: Any, before: int, after: int, error: type[Exception], message: str
 ) -> None:
     pack = Pack.write(tmp_path / "pack", [frames(1, 4), frames(2, 3)])
-    with pytest.raises(error, match=told):
+    with pytest.raises(error, match=message):
         pack.window(name, frame, before=before, after=after)
 
 

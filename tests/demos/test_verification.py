@@ -147,7 +147,7 @@ def test_what_a_ledger_lacks_is_found_by_the_recordings(dataset: DemonstrationDa
     lines = whole.splitlines(keepends=True)
     for left in ([], lines[:2], lines[1:]):
         dataset.ledger.path.write_bytes(b"".join(left))
-        lost = [problem for problem in problems(dataset)["ledger.jsonl"] if problem.startswith("no line tells of")]
+        lost = [problem for problem in problems(dataset)["ledger.jsonl"] if problem.startswith("there is no line for")]
         assert len(lost) == len([line for line in lines if line not in left and b'"recorded": true' in line])
     dataset.ledger.path.unlink()
     assert len(problems(dataset)["ledger.jsonl"]) == 5
@@ -218,7 +218,7 @@ def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationD
 
 @pytest.fixture
 def real(tmp_path: Path) -> DemonstrationDataset:
-    """Three attempts of the planner alone, recorded whatever came of them."""
+    """Three attempts of the planner only, recorded whatever their outcome."""
     env, made = ResidualEnv("can"), DemonstrationDataset(tmp_path / "real", task="can", keep_failures=True)
     for condition in islice(env.task.conditions.stream("val"), 3):
         made.add(PlannerOnly().attempt(env, condition))
@@ -237,10 +237,10 @@ def test_verify_ends_with_0_or_1(real: DemonstrationDataset, capsys: pytest.Capt
 
 
 def test_an_attempt_at_what_is_no_condition_of_the_task_is_named(real: DemonstrationDataset) -> None:
-    held = real.attempts()[0]
+    attempt = real.attempts()[0]
     for change in ({"difficulty": 1e300}, {"values": {}}):
         lost = Outcome(success=False, checkpoint=0, failure="x")
-        odd = replace(held, condition=replace(held.condition, **change), outcome=lost, recorded=False)
+        odd = replace(attempt, condition=replace(attempt.condition, **change), outcome=lost, recorded=False)
         real.record(odd)
         found = [f for findings in verify(real, task=get_task("can")) for f in findings]
         assert any(f.path == real.ledger.path and odd.id in f.problem for f in found), found

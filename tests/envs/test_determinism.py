@@ -129,7 +129,7 @@ def test_another_process_gives_the_same_bits(fresh: list[str]) -> None:
 
 
 def vectorised_digests(envs: VecEnv) -> list[str]:
-    """Run one episode an env, both conditions in turn; envs that end early go on with an episode that is ignored."""
+    """Run one episode per env, both conditions in turn; envs that end early continue with one that is ignored."""
     n = envs.num_envs
     digests: dict[int, str] = {}
     envs.set_options([{"condition": CONDITIONS[index % 2]} for index in range(n)])

@@ -34,7 +34,7 @@ def mask():
     env.close()
 
 
-def drive_the_planner_alone(which: Condition) -> tuple[str, Outcome]:
+def drive_planner_only(which: Condition) -> tuple[str, Outcome]:
     """Run prior and physics with no residual anywhere; this is what `ResidualEnv.step(0)` must equal."""
     world = World(TASK)
     trace = TrajectoryHash(world)
@@ -48,11 +48,11 @@ def drive_the_planner_alone(which: Condition) -> tuple[str, Outcome]:
 
 
 @pytest.mark.parametrize("which", MANY, ids=lambda c: f"{c.difficulty:.2f}")
-def test_zero_residual_is_the_planner_alone_bit_for_bit(which: Condition, skip: Traced, mask: Traced) -> None:
-    alone, outcome = drive_the_planner_alone(which)
+def test_zero_residual_is_planner_only_bit_for_bit(which: Condition, skip: Traced, mask: Traced) -> None:
+    planner_only, outcome = drive_planner_only(which)
     for env in (skip, mask):
         digest, info = run(env, which, scale=0.0)
-        assert digest == alone
+        assert digest == planner_only
         assert Outcome.of_info(info) == outcome
 
 

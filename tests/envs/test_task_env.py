@@ -12,11 +12,11 @@ from dynaforge.geometry import rotvec_from_matrix
 from dynaforge.tasks import ConditionSpace
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
-EASY = min((condition(0, seed) for seed in range(40)), key=lambda c: c.difficulty)  # the planner alone lifts it
+EASY = min((condition(0, seed) for seed in range(40)), key=lambda c: c.difficulty)  # planner only lifts it
 
 
 def planner_steps():
-    """Record the planner alone on an easy condition."""
+    """Record the planner only on an easy condition."""
     env = ResidualEnv("can")
     trace = TrajectoryHash(env.world)
     env.reset(options={"condition": EASY})

@@ -79,12 +79,12 @@ def test_98_in_100_successes_of_all_tasks_succeed_again_in_both_modes(tmp_path: 
     for task in TASK_NAMES:
         dataset = collected(tmp_path, task, 60, 2)
         for kind in LEAST:
-            won = share_that_acts(dataset, task, kind)
-            print(f"{task} {kind}: {sum(won)} of {len(won)} succeed again")
-            again[kind] += won
-    for kind, won in again.items():
-        print(f"{kind}: {sum(won)} of {len(won)}")
-        assert np.mean(won) >= LEAST[kind], kind
+            succeeded = share_that_acts(dataset, task, kind)
+            print(f"{task} {kind}: {sum(succeeded)} of {len(succeeded)} succeed again")
+            again[kind] += succeeded
+    for kind, succeeded in again.items():
+        print(f"{kind}: {sum(succeeded)} of {len(succeeded)}")
+        assert np.mean(succeeded) >= LEAST[kind], kind
 
 
 def test_the_bridge_sees_what_an_export_holds(can: DemonstrationDataset) -> None:

@@ -33,16 +33,16 @@ def test_shards_divide_the_stream() -> None:
 
 def test_an_interrupted_collection_goes_on_and_attempts_nothing_twice(tmp_path: Path) -> None:
     dataset = DemonstrationDataset(tmp_path, task="can")
-    told: list[str] = []
+    collected: list[str] = []
 
     def stop_at_three(attempt: Attempt) -> None:
-        told.append(attempt.condition.id)
-        if len(told) == 3:
+        collected.append(attempt.condition.id)
+        if len(collected) == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         collect(dataset, CAN, PlannerOnly(), Goal(None, 6), workers=2, on_attempt=stop_at_three)
-    assert told == stream(3)
+    assert collected == stream(3)
     again: list[str] = []
     dataset = DemonstrationDataset(tmp_path, task="can")
     done = collect(
@@ -70,9 +70,9 @@ def test_what_is_missing_in_the_middle_is_attempted(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def won(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the two easiest conditions of some, which the planner wins."""
-    folder = tmp_path_factory.mktemp("won")
+def two_successes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the two easiest conditions of some, on which the planner succeeds."""
+    folder = tmp_path_factory.mktemp("successes")
     dataset = DemonstrationDataset(folder, task="can")
     easy = sorted(islice(ConditionSource().conditions(CAN), 24), key=lambda condition: condition.difficulty)[:2]
     for result in run_attempts(CAN, PlannerOnly(), easy, workers=1):
@@ -82,18 +82,18 @@ def won(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_goal_of_successes_counts_those_already_held(won: Path, tmp_path: Path) -> None:
-    shutil.copytree(won, tmp_path, dirs_exist_ok=True)
+def test_a_goal_of_successes_counts_those_already_recorded(two_successes: Path, tmp_path: Path) -> None:
+    shutil.copytree(two_successes, tmp_path, dirs_exist_ok=True)
     dataset = DemonstrationDataset(tmp_path, task="can")
     attempt = dataset.attempts()[0]
     source = ConditionSource(shard=(stream(24).index(attempt.condition.id), 24))
     assert ids(collect(dataset, CAN, PlannerOnly(), Goal(1, None), source=source)) == [attempt.condition.id]
-    assert len(dataset.ledger.path.read_text().splitlines()) == 2, "the held one was not made again"
+    assert len(dataset.ledger.path.read_text().splitlines()) == 2, "the recorded one was not made again"
 
 
-def test_a_recording_that_was_deleted_is_made_again_to_the_bit(won: Path, tmp_path: Path) -> None:
+def test_a_recording_that_was_deleted_is_made_again_bit_for_bit(two_successes: Path, tmp_path: Path) -> None:
     """As the message on a damaged file advises."""
-    shutil.copytree(won, tmp_path, dirs_exist_ok=True)
+    shutil.copytree(two_successes, tmp_path, dirs_exist_ok=True)
     dataset = DemonstrationDataset(tmp_path, task="can")
     attempt = dataset.attempts()[0]
     path, place = dataset.file_of(attempt.id), stream(24).index(attempt.condition.id)

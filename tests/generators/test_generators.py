@@ -35,9 +35,9 @@ def env():
     env.close()
 
 
-@pytest.fixture(scope="module", params=["planner alone", "with residual"])
+@pytest.fixture(scope="module", params=["planner only", "with residual"])
 def episode(request: pytest.FixtureRequest, env: ResidualEnv) -> Episode:
-    generator = PlannerOnly() if request.param == "planner alone" else ResidualGenerator(RESIDUAL)
+    generator = PlannerOnly() if request.param == "planner only" else ResidualGenerator(RESIDUAL)
     return generator.attempt(env, LIFTED)
 
 
@@ -107,7 +107,7 @@ def test_only_the_last_step_is_rewarded_and_with_the_return(episode: Episode) ->
     assert reward[-1] == (1.0 if episode.success else episode.outcome.checkpoint / 5)
 
 
-def test_the_planner_alone_asks_for_its_plan(env: ResidualEnv) -> None:
+def test_planner_only_requests_its_plan(env: ResidualEnv) -> None:
     episode = PlannerOnly().attempt(env, LIFTED)
     assert episode.success
     assert episode.generator == "planner_only"
@@ -141,7 +141,7 @@ def test_the_oracle_is_at_least_as_good_as_the_planner(env: ResidualEnv) -> None
 
 
 def test_the_oracle_finds_what_some_constant_residual_can_win(env: ResidualEnv) -> None:
-    """The planner alone misses this can; one of the first constant residuals lifts it."""
+    """The planner misses this can; one of the first constant residuals lifts it."""
     missed = condition(1, 4)
     assert not PlannerOnly().attempt(env, missed).success
     found = Oracle(m=64).attempt(env, missed)

@@ -21,17 +21,19 @@ from dynaforge.tasks import Outcome, get_task
 CAN = get_task("can")
 
 
-def engine(wins: Callable[[int], bool], *, ahead: int = 4, raising: bool = False) -> Callable[..., Iterator[Result]]:
-    """Return an engine that simulates nothing: the k-th attempt of all its runs wins where `wins` says so."""
+def engine(
+    succeeds: Callable[[int], bool], *, ahead: int = 4, raising: bool = False
+) -> Callable[..., Iterator[Result]]:
+    """Return an engine that simulates nothing: the k-th attempt of all its runs succeeds where `succeeds(k)`."""
     k = 0
 
     def attempt(condition: Condition) -> Result:
         nonlocal k
-        won, k = wins(k), k + 1
+        success, k = succeeds(k), k + 1
         if raising:
             return failed_attempt(condition, "planner_only", "exception: OSError: gone")
-        reason = "" if won else ("dropped" if k % 3 else "slipped\naway")
-        outcome = Outcome(success=won, checkpoint=5 if won else 1, failure=reason, phase="lift")
+        reason = "" if success else ("dropped" if k % 3 else "slipped\naway")
+        outcome = Outcome(success=success, checkpoint=5 if success else 1, failure=reason, phase="lift")
         episode = Episode(condition=condition, generator="planner_only", outcome=outcome, duration=1.0, steps={})
         return Result(Attempt.of(episode), episode)
 
@@ -46,10 +48,12 @@ def engine(wins: Callable[[int], bool], *, ahead: int = 4, raising: bool = False
 
 
 def gather(
-    folder: Path, goal: Goal, wins: Callable[[int], bool] = lambda k: False, **engine_options: int
+    folder: Path, goal: Goal, succeeds: Callable[[int], bool] = lambda k: False, **engine_options: int
 ) -> list[Attempt]:
     dataset = DemonstrationDataset(folder, task="can")
-    return collect(dataset, CAN, PlannerOnly(), goal, source=ConditionSource(), engine=engine(wins, **engine_options))
+    return collect(
+        dataset, CAN, PlannerOnly(), goal, source=ConditionSource(), engine=engine(succeeds, **engine_options)
+    )
 
 
 def test_it_gives_up_with_the_commonest_reasons_and_keeps_what_was_attempted(tmp_path: Path) -> None:

@@ -372,7 +372,7 @@ def test_zoo_trains_and_saves_frontier_grpo(tmp_path: Path) -> None:
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("algo", ["frontier_grpo", "ppo"])
 def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
-    """Train with evaluation, go on, film, search; and the policy that training leaves is one that `evaluate` takes."""
+    """Train with evaluation, continue, film, search; and `evaluate` accepts the policy that training leaves."""
     which = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "--device", "cpu"]
     sizes = ["n_groups:4", "group_size:2"] if algo == "frontier_grpo" else ["n_steps:16"]
     small = ["--num-threads", "1", "--eval-episodes", "1", "-params", "n_envs:4", *sizes]

@@ -72,8 +72,8 @@ def test_train_takes_the_settings_that_forge_and_compare_take(
     taken: dict[str, Any] = {}
 
     def look(script: str) -> None:
-        told = dict(itertools.pairwise(sys.argv))  # the last of a flag counts
-        env, config = told["--env"], told["--conf-file"]
+        flags = dict(itertools.pairwise(sys.argv))  # the last of a flag counts
+        env, config = flags["--env"], flags["--conf-file"]
         manager: Any = ExperimentManager.__new__(ExperimentManager)
         manager.__dict__.update(algo=algo, config=config, _is_atari=False, storage=None, custom_hyperparams=None)
         manager.env_name, manager.env_kwargs = EnvironmentName(env), {}

@@ -54,7 +54,8 @@ class Frames:
         contact: Whether the left and the right finger touch the manipulated object, (2) bool; False where it was not
             recorded.
         images: RGB by camera, (H, W, 3) uint8 each; empty unless rendered.
-        depths: Distance along the optical axis by camera, tenths of a millimetre, (H, W) uint16 each; likewise.
+        depths: Distance along the optical axis by camera, tenths of a millimetre, (H, W) uint16 each; empty
+            unless rendered.
         points: (P, 3) float32, metres, world frame; None unless rendered.
         point_colors: (P, 3) uint8; None unless rendered.
         episode: The recording.

@@ -48,16 +48,16 @@ def test_a_rate_that_is_not_the_recordings_is_refused(recorded: DemonstrationDat
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"actions": "eef"}, "Did you mean 'ee'"),
         ({"rotation": "rotation_6D"}, "Did you mean 'rotation_6d'"),
         ({"actions": "joint", "rotation": "rotation_6d"}, "Joint positions have no rotation"),
     ],
 )
-def test_unknown_actions_are_answered_with_the_nearest(tmp_path: Path, options: dict[str, str], told: str) -> None:
+def test_unknown_actions_are_refused_with_the_nearest(tmp_path: Path, options: dict[str, str], message: str) -> None:
     dataset = DemonstrationDataset(tmp_path / "can", task="can")
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         read_frames(dataset, fps=FPS, **options)  # type: ignore[arg-type]
 
 
