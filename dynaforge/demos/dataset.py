@@ -60,9 +60,9 @@ class DemonstrationDataset:
         keep_failures: Whether `add` keeps the recordings of failed episodes too; the ledger lists them in any case.
 
     Raises:
-        FileNotFoundError: The folder holds no dataset and no task was given.
+        FileNotFoundError: The folder contains no dataset and no task was given.
         DamagedFileError: Its `dataset.json` cannot be read.
-        FileExistsError: The folder holds other data.
+        FileExistsError: The folder contains other data.
         PermissionError: A task was given and the folder cannot be created or written to.
         ValueError: The folder belongs to another task, or was written by a newer version; or `task` cannot name one.
     """
@@ -165,7 +165,7 @@ class DemonstrationDataset:
 
         Raises:
             PermissionError: The dataset was opened for reading only.
-            ValueError: The folder holds attempts of another policy, or with another definition of the task.
+            ValueError: The folder contains attempts of another policy, or with another definition of the task.
         """
         self._check(self.task)
         sources = self.sources()

@@ -116,7 +116,7 @@ class Pack:
             episodes: What to pack, such as `read_frames` returns.
 
         Raises:
-            FileExistsError: The folder holds something else.
+            FileExistsError: The folder contains something else.
             ValueError: There is no episode, or some have points and some have none.
         """
         folder = Path(folder)

@@ -111,8 +111,8 @@ def collect(
         All attempts of this generator at these conditions that the folder now contains.
 
     Raises:
-        ValueError: The folder holds attempts of another policy, or with another definition of the task; or an argument
-            is malformed.
+        ValueError: The folder contains attempts of another policy, or with another definition of the task; or an
+            argument is malformed.
         GaveUp: Too many attempts in a row failed, see `Goal`.
     """
     source = ConditionSource() if source is None else source
