@@ -109,7 +109,7 @@ EXACT = ("zero-residual", "one-trajectory", "replay")  # whatever else runs on t
 @pytest.mark.parametrize("name", TASK_NAMES)
 def test_every_row_is_measured_on_every_task(name, monkeypatch):
     assert set(QUICK) == set(suite.MEASUREMENTS) - suite.LONG
-    for constant, value in (("ATTEMPTS", 6), ("REPLAYED", 4), ("PACKED", 5), ("WINDOWS", 100)):
+    for constant, value in (("ATTEMPTS", 6), ("REPLAYED", 4), ("PACK_EPISODES", 5), ("WINDOWS", 100)):
         monkeypatch.setattr(bench_data, constant, value)
     task = get_task(name)
     for row, measure in QUICK.items():
