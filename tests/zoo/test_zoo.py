@@ -374,7 +374,7 @@ def test_zoo_trains_and_saves_frontier_grpo(tmp_path: Path) -> None:
 def test_the_flags_of_the_zoo_work_on_a_task(tmp_path: Path, algo: str) -> None:
     """Train with evaluation, continue, film, search; and `evaluate` accepts the policy that training leaves."""
     which = ["--algo", algo, "--env", "DynaForge/Can-v0", "-f", "logs", "--device", "cpu"]
-    sizes = ["n_groups:4", "group_size:2"] if algo == "frontier_grpo" else ["n_steps:16"]
+    sizes = ["n_groups:4", "group_size:2", "group_filter:'none'"] if algo == "frontier_grpo" else ["n_steps:16"]
     small = ["--num-threads", "1", "--seed", "0", "--eval-episodes", "1", "-params", "n_envs:4", *sizes]
     asked = ["--eval-freq", "8", "--save-freq", "40", "-tb", "tensorboard", "--verbose", "0", "-P"]
     trained = zoo_process(tmp_path, "train", *which, "-n", "64", *asked, *small)
