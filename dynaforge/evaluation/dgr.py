@@ -251,7 +251,7 @@ def describe_gain(paired: PairedDifference) -> str:
     p = f"p = {paired.p_value:.2g}" if paired.p_value >= 1e-4 else "p < 0.0001"
     return (
         f"paired gain {100 * paired.difference:+.1f} points, 95 % [{100 * low:+.1f}, {100 * high:+.1f}] "
-        f"(only this one succeeds on {paired.only_b} of {paired.n} conditions, only the other on {paired.only_a}; "
+        f"(of {paired.n} conditions, {paired.only_b} succeed only with it and {paired.only_a} only without it; "
         f"exact McNemar {p})"
     )
 

@@ -93,7 +93,7 @@ def test_a_truncated_file_is_noticed_and_named(tmp_path, keep):
         read_episode(path)
 
 
-def test_a_file_of_another_kind_is_told_from_a_damaged_one(tmp_path):
+def test_a_file_of_another_kind_is_distinguished_from_a_damaged_one(tmp_path):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["data"] = np.zeros(3)
     with pytest.raises(DamagedFileError, match=r"other\.h5 .*does not begin as an episode file"):

@@ -170,7 +170,7 @@ def test_every_flipped_bit_of_the_notes_beside_the_files_is_found(pictured: Demo
     assert not problems(pictured)
 
 
-def test_pictures_of_another_recording_are_told(pictured: DemonstrationDataset) -> None:
+def test_pictures_of_another_recording_are_reported(pictured: DemonstrationDataset) -> None:
     other = make_episode(0)
     steps = dict(other.steps) | {"q": other.steps["q"] + 1e-9}
     draw(pictured, replace(other, steps=steps))

@@ -115,7 +115,7 @@ def test_an_ik_phase_without_a_gate_gets_no_residual(mode: str) -> None:
     env.close()
 
 
-def test_a_decision_is_held_for_its_control_steps_and_cut_where_the_gate_changes(mask: Traced) -> None:
+def test_a_residual_is_repeated_for_its_control_steps_and_cut_where_the_gate_changes(mask: Traced) -> None:
     lengths: list[tuple[bool, bool, int]] = []
     mask.reset(options={"condition": LIFTED})
     done, k = False, 0

@@ -78,7 +78,7 @@ def test_attempts_in_workers_are_those_of_this_process() -> None:
 
 
 @pytest.mark.slow
-def test_a_script_that_workers_cannot_import_is_told_so(tmp_path: Path) -> None:
+def test_a_script_that_workers_cannot_import_is_reported(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
         "from itertools import islice\nfrom dynaforge.generators import PlannerOnly, run_attempts\n"

@@ -215,7 +215,7 @@ def test_a_learner_that_is_none_is_named(source: str, words: str) -> None:
         ("leaves", r"it ends the program \(SystemExit 3\)"),
     ],
 )
-def test_a_learner_that_cannot_be_made_is_told_with_its_source(name: str, words: str, tmp_path: Path) -> None:
+def test_a_learner_that_cannot_be_made_is_reported_with_its_source(name: str, words: str, tmp_path: Path) -> None:
     source = tmp_path / "unmade_of_a_test.py"
     source.write_text(UNMADE)
     try:

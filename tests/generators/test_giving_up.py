@@ -125,7 +125,7 @@ def test_evaluate_measures_no_rate_of_a_generator_that_only_raises(
     assert main(asked) == 0
 
 
-def test_workers_that_do_not_even_start_are_told_in_one_line(
+def test_workers_that_do_not_even_start_are_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_engine(*_: object, **__: object) -> Iterator[Result]:

@@ -36,7 +36,7 @@ def test_a_gain_says_in_which_bins_it_is_worse() -> None:
     assert gain.worse_bins == (2,)
     first, second = gain.text.splitlines()
     assert first.startswith("new against planner_only: paired gain -12.5 points")
-    assert "only this one succeeds on 0 of 160 conditions, only the other on 20" in first
+    assert "of 160 conditions, 0 succeed only with it and 20 only without it" in first
     assert second == "worse in difficulty bins 3 (1 to 8, easiest first)"
     assert gain.to_dict()["no_bin_lost"] == {"holds": False, "lost": [2]}
     (same,) = gains_over_first(CAN, dict.fromkeys(("a", "b"), measured["new"]))

@@ -131,7 +131,7 @@ def test_flags_are_read_as_the_script_reads_them(script: str, monkeypatch: pytes
             assert ours[name].type("3") == 3
 
 
-def test_a_slip_in_a_flag_is_told_before_anything_heavy_is_imported() -> None:
+def test_a_slip_in_a_flag_is_reported_before_anything_heavy_is_imported() -> None:
     lines = (
         "train --foo",
         "train --algo ppo",
