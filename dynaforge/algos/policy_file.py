@@ -22,6 +22,10 @@ if TYPE_CHECKING:  # workers that only run a policy do without torch, which take
     from stable_baselines3.common.base_class import BaseAlgorithm
 
 FORMAT = "dynaforge-policy"
+
+POLICY_FILE = "policy.safetensors"
+"""Name of the file in the folder of a training, and beside the assets of a task."""
+
 _ACTIVATIONS: dict[str, Callable[[Any], Any]] = {"Tanh": np.tanh, "ReLU": lambda x: np.maximum(x, 0.0)}
 
 

@@ -23,10 +23,9 @@ from dynaforge.generators import (
     ResidualGenerator,
     collect,
 )
-from dynaforge.generators.by_name import make_generator
+from dynaforge.generators.by_name import make_generator, shipped_policy
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.sampling.processes import usable_cores
-from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_source
 
 MAX_WRITING_SHARE = 0.02  # of the CPU time of collecting
@@ -179,8 +178,8 @@ def demonstrations(task: Task) -> list[Figure]:
 def _generator_of(task: Task) -> str:
     """Return the generator to collect with: the shipped policy, or planner only where none is shipped."""
     try:
-        asset_path(f"{task.name}/policy.safetensors")
-    except FileNotFoundError:
+        shipped_policy(task)
+    except ValueError:
         return "planner_only"
     return "residual"
 

@@ -138,9 +138,6 @@ def _run_everywhere(env: SharedMemoryVecEnv, condition: Condition, reset_kwargs:
 
 def _hash_of(env: ResidualEnv, run: Callable[[Condition], object], condition: Condition) -> str:
     trajectory = TrajectoryHash()
-    env.world.listeners.append(trajectory)
-    try:
+    with env.world.listening(trajectory):
         run(condition)
-    finally:
-        env.world.listeners.remove(trajectory)
     return trajectory.value(env.executor.outcome)

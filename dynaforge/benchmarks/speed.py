@@ -122,11 +122,8 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
 
 def _record(env: ResidualEnv, condition: Condition) -> RecordedCommands:
     steps: list[ControlStep] = []
-    env.world.listeners.append(steps.append)
-    try:
+    with env.world.listening(steps.append):
         run_zero_residual(env, condition)
-    finally:
-        env.world.listeners.clear()
     references = [(step.reference.joints.q, step.reference.width) for step in steps]
     return RecordedCommands(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
 

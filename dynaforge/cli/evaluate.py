@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         for report in reports:
             print(report.table())
         path = out if len(tasks) == 1 else out.with_stem(f"{out.stem}-{task.name}")
-        write_evaluation(path, task, measured, gains, command=options.command)
+        write_evaluation(path, task, measured, reports=reports, gains=gains, command=options.command)
         print(f"written to {path}")
         table[task.name] = reports
     if len(tasks) > 1:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dynaforge.algos.policy_file import POLICY_FILE
 from dynaforge.cli.arguments.tasks import chosen_task
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import Attempt, DemonstrationDataset
@@ -23,7 +24,7 @@ from dynaforge.generators.measure import measure
 from dynaforge.reports.forge import write_forge_report
 from dynaforge.tasks import Stream, Task
 from dynaforge.tasks.digest import task_digest
-from dynaforge.training.forge import POLICY, train
+from dynaforge.training.forge import train
 from dynaforge.training.forge_folder import REPORT, ForgeFolder, asked_for
 from dynaforge.training.settings import hyperparameters
 
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         workers=options.workers,
     )
     if trained.interrupted:
-        print(f"interrupted after {len(trained.history)} updates; policy saved: {out / POLICY}")
+        print(f"interrupted after {len(trained.history)} updates; policy saved: {out / POLICY_FILE}")
         print("the same command resumes")
         return 130
 
@@ -76,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         write_forge_report(
             out,
             task,
-            out / POLICY,
+            out / POLICY_FILE,
             command=options.command,
             algo=options.algo,
             seed=options.seed,
@@ -117,7 +118,7 @@ def _attempts(measured: dict[str, Any]) -> list[list[Attempt]]:
 
 def _print_results(out: Path, dataset: DemonstrationDataset) -> None:
     print(f"demos   {dataset.path}  ({len(dataset)} episodes, {dataset.dgr():.0%} of attempts succeeded)")
-    print(f"policy  {out / POLICY}")
+    print(f"policy  {out / POLICY_FILE}")
     print(f"report  {out / REPORT}")
 
 

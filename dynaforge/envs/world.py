@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +111,19 @@ class World:
         """
         reference = self.follower.reach_joints(q, width)
         return self._step(reference, HandTarget(self.kinematics.forward(q), width), None, self._no_residual)
+
+    @contextlib.contextmanager
+    def listening(self, listener: Callable[[ControlStep], None]) -> Iterator[None]:
+        """Call a listener after every control step that is made in the block.
+
+        Args:
+            listener: Takes the control step.
+        """
+        self.listeners.append(listener)
+        try:
+            yield
+        finally:
+            self.listeners.remove(listener)
 
     def close(self) -> None:
         """Release physics; safe to call more than once."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
 from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.names import GENERATORS
@@ -74,7 +74,7 @@ def shipped_policy(task: Task) -> Path:
         ValueError: There is none.
     """
     try:
-        return asset_path(f"{task.name}/policy.safetensors")
+        return asset_path(f"{task.name}/{POLICY_FILE}")
     except FileNotFoundError:
         raise ValueError(
             f"No policy is shipped for task {task.name!r}: pass --policy FILE, which `dynaforge forge` makes."

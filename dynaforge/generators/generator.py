@@ -74,14 +74,11 @@ class ResidualGenerator:
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
         """Run one episode under a condition and record it, Eq. 1."""
         recorder = Recorder(env.task, env.world.kinematics)
-        env.world.listeners.append(recorder)
-        try:
+        with env.world.listening(recorder):
             observation, _ = env.reset(options={"condition": condition})
             done = False
             while not done:
                 observation, _, done, _, _ = env.step(self.policy(observation))
-        finally:
-            env.world.listeners.remove(recorder)
         assert env.executor.outcome is not None
         return episode_of(
             env, recorder, env.executor.outcome, condition, generator=self.name, policy_hash=self.policy_hash

@@ -75,16 +75,13 @@ class LearnerGenerator:
         assert self._learner is not None
         task, world = env.env.task, env.env.world
         recorder = Recorder(task, world.kinematics)
-        world.listeners.append(recorder)
-        try:
+        with world.listening(recorder):
             observation = env.reset(condition)
             if reset := getattr(self._learner, "reset", None):
                 reset()
             done = False
             while not done:
                 observation, _, done, _, _ = env.step(self._learner(observation))
-        finally:
-            world.listeners.remove(recorder)
         assert env.env.outcome is not None
         return episode_of(env.env, recorder, env.env.outcome, condition, generator=self.name, policy_hash="")
 

@@ -37,11 +37,8 @@ class Repeater:
             raise ValueError("it records no residual_action of 7 components, so its attempt cannot be made again")
         world = self._env.world
         recorder = Recorder(self._env.task, world.kinematics)
-        world.listeners.append(recorder)
-        try:
+        with world.listening(recorder):
             outcome = self._run(episode, residuals if residuals is not None else np.zeros((0, 7)))
-        finally:
-            world.listeners.remove(recorder)
         return episode_of(
             self._env,
             recorder,

@@ -32,6 +32,17 @@ class JointReference:
 
     __repr__ = one_line
 
+    @staticmethod
+    def at_rest(q: Array, width: float) -> JointReference:
+        """Return a reference that rests at joint positions q (rad, shape (7,)) and an opening (m).
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        require_finite("q", q)
+        require_finite("width", float(width))
+        return JointReference(JointState.at_rest(q.copy()), float(width), 0.0)
+
 
 class LocalPlanner:
     """Moves the joint reference toward targets inside every limit: the projection of Eq. 5.
@@ -69,12 +80,10 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        require_finite("q", q)
-        require_finite("width", float(width))
-        joints = JointState.at_rest(q.copy())
-        self._load(joints)
-        self._reference = JointReference(joints, float(width), 0.0)
-        return self._reference
+        reference = JointReference.at_rest(q, width)
+        self._load(reference.joints)
+        self._reference = reference
+        return reference
 
     def track(self, target: HandTarget) -> JointReference:
         """Move one control step toward a target of the hand.

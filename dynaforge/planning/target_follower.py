@@ -49,10 +49,8 @@ class TargetFollower:
         Raises:
             ValueError: A value is not finite.
         """
-        require_finite("q", q)
-        require_finite("width", float(width))
-        joints = JointState.at_rest(q.copy())
-        self._reference = JointReference(joints, float(width), 0.0)
+        self._reference = JointReference.at_rest(q, width)
+        joints = self._reference.joints
         self._target, self._target_moved, self._target_velocity = joints.q, joints.dq, joints.dq
         return self._reference
 

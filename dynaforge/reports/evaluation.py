@@ -93,20 +93,29 @@ def gains_over_first(task: Task, measured: Measured) -> list[Gain]:
     return gains
 
 
-def write_evaluation(path: Path, task: Task, measured: Measured, gains: Sequence[Gain], *, command: str) -> None:
+def write_evaluation(
+    path: Path,
+    task: Task,
+    measured: Measured,
+    *,
+    reports: Sequence[DgrReport],
+    gains: Sequence[Gain],
+    command: str,
+) -> None:
     """Write what was measured on one task, every outcome included, as JSON.
 
     Args:
         path: The file.
         task: The task.
         measured: The attempts of every generator.
+        reports: What `reports_of` makes of them.
         gains: Those of the generators after the first.
         command: The command that measured it.
     """
     conditions = next(iter(measured.values()))
     data = {
         "task": task.name,
-        "reports": [report.to_dict() for report in reports_of(task, measured)],
+        "reports": [report.to_dict() for report in reports],
         "gains": {gain.generator: gain.to_dict() for gain in gains},
         "conditions": [
             {"id": attempt.condition.id, "block": attempt.block, "difficulty": round(attempt.difficulty, 4)}

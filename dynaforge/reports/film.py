@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -45,12 +46,8 @@ def film(
             frames.append(image)
         count += 1
 
-    env.world.listeners.append(draw)
-    try:
-        episode = generator.attempt(env, condition)
-    finally:
-        env.world.listeners.remove(draw)
-    return episode, frames
+    with env.world.listening(draw):
+        return generator.attempt(env, condition), frames
 
 
 def skill_picture(task: Task, conditions: Iterable[Condition]) -> Frame:
@@ -67,14 +64,11 @@ def skill_picture(task: Task, conditions: Iterable[Condition]) -> Frame:
         if step.planned.phase == last or picture is None:
             picture = env.render()
 
-    env.world.listeners.append(draw)
-    try:
+    with contextlib.closing(env), env.world.listening(draw):
         for condition in conditions:
             picture = None
             if PlannerOnly().attempt(env, condition).success:
                 break
-    finally:
-        env.close()
     assert picture is not None
     return picture
 

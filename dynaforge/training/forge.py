@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
 from dynaforge.tasks import Task
 from dynaforge.training.forge_folder import ForgeFolder
 from dynaforge.training.history import TrainingHistory
@@ -13,8 +13,6 @@ from dynaforge.training.model import decaying_within, save_model, training_env
 from dynaforge.training.monitor import TimeLimit
 from dynaforge.training.settings import hyperparameters
 from dynaforge.training.stored_training import HISTORY, StoredTraining
-
-POLICY = "policy.safetensors"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +46,7 @@ def train(
     """
     path = folder.path
     if folder.has_stage("trained"):
-        policy, history = MlpPolicyFile.load(path / POLICY, task=task), TrainingHistory.load(path / HISTORY)
+        policy, history = MlpPolicyFile.load(path / POLICY_FILE, task=task), TrainingHistory.load(path / HISTORY)
         return TrainingResult(policy, history, interrupted=False)
     settings = hyperparameters(algo, task.name)
     env = training_env(task, settings["n_envs"], algo=algo, cores=workers)
@@ -90,5 +88,5 @@ def _save(training: StoredTraining, path: Path) -> MlpPolicyFile:
     """Store history, training checkpoint and policy in a folder; return the policy."""
     policy = training.policy()
     training.save()
-    policy.save(path / POLICY)
+    policy.save(path / POLICY_FILE)
     return policy

@@ -15,6 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from dynaforge.algos.policy_file import POLICY_FILE
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
@@ -62,7 +63,7 @@ def train(spec: RunSpec) -> None:
     env.close()
     training.save()
     policy = training.policy()
-    policy.save(spec.folder / "policy.safetensors")
+    policy.save(spec.folder / POLICY_FILE)
     evaluate(task, ResidualGenerator(policy, policy_hash=policy.digest), spec.evaluation, spec.folder / EVALUATED)
     training.checkpoint.unlink()
 

@@ -201,6 +201,7 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
         if task is None:
             return
+        from dynaforge.algos.policy_file import POLICY_FILE
         from dynaforge.training.model import policy_file
 
         try:
@@ -209,7 +210,7 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         except ValueError as error:
             print(f"No policy.safetensors: {error}")
             return
-        path = Path(manager.save_path) / "policy.safetensors"
+        path = Path(manager.save_path) / POLICY_FILE
         policy.save(path)
         print(f"Policy for evaluate and collect: --policy {path}")
 
