@@ -9,6 +9,7 @@ import numpy as np
 
 from dynaforge.geometry import Array, one_line
 from dynaforge.sim.checks import check_kind, check_number, check_text, check_tuple, finite_array, quoted
+from dynaforge.sim.speed_limits import SpeedLimits
 
 HAND_WIDTH = 0.08  # metres, fully open
 ELBOW = 2
@@ -27,10 +28,14 @@ class RobotDescription:
         arm_joints: Names of the seven arm joints, base to wrist.
         finger_joints: Names of the two finger joints.
         ee_link: Link whose frame is the end-effector frame.
-        q_lower, q_upper: Position limits, radians, shape (7,).
-        dq_max, ddq_max, dddq_max: Velocity, acceleration and jerk limits, rad/s, rad/s^2, rad/s^3, shape (7,).
+        q_lower, q_upper: Position limits, radians, shape (7,). The speed limits leave a speed up to both.
+        speed_limits: Velocity limits, which depend on position: `speed_limits(q)` returns the least and the greatest
+            velocity of each joint at q. Every reference of the arm keeps them.
+        ddq_max, dddq_max: Acceleration and jerk limits, rad/s^2, rad/s^3, shape (7,).
         stop_speed: The robot stops itself, as the reflex of the real arm does, when a measured joint speed exceeds this
-            multiple of its limit. A servo may overshoot the limit a little; a jammed hand that breaks free exceeds it.
+            multiple of `dq_max`. A servo may overshoot the limit a little; a jammed hand that breaks free exceeds it.
+            It is not measured against the limit at that position, which is 0 at an end: the real arm holds only the
+            command to that.
         q_ready: The joint positions from which every episode starts, radians, shape (7,).
         effort_max: Joint torque limits, Nm, shape (7,).
         width_max: Largest opening between the fingers, metres.
@@ -44,7 +49,7 @@ class RobotDescription:
     ee_link: str
     q_lower: Array
     q_upper: Array
-    dq_max: Array
+    speed_limits: SpeedLimits
     ddq_max: Array
     dddq_max: Array
     q_ready: Array
@@ -62,22 +67,33 @@ class RobotDescription:
             if len(check_tuple(f"RobotDescription: {name}", getattr(self, name), str)) != n:
                 raise ValueError(f"RobotDescription: {name} is {quoted(getattr(self, name))}; it must be {n} names.")
         check_text("RobotDescription: ee_link", self.ee_link)
-        for name in ("q_lower", "q_upper", "q_ready", "dq_max", "ddq_max", "dddq_max", "effort_max"):
+        for name in ("q_lower", "q_upper", "q_ready", "ddq_max", "dddq_max", "effort_max"):
             values = finite_array(f"RobotDescription: {name}", getattr(self, name), (7,))
             object.__setattr__(self, name, values)
             if "max" in name and (values <= 0.0).any():
                 raise ValueError(f"RobotDescription: {name} is {quoted(values.tolist())}; limits are above 0.")
         if not (self.q_lower < self.q_upper).all():
             raise ValueError("RobotDescription: q_lower is not below q_upper in every joint.")
+        check_kind("RobotDescription: speed_limits", self.speed_limits, SpeedLimits)
+        if not ((self.speed_limits(self.q_lower)[0] < 0.0) & (self.speed_limits(self.q_upper)[1] > 0.0)).all():
+            raise ValueError("RobotDescription: a joint cannot get to q_lower and q_upper within speed_limits.")
         for name in ("stop_speed", "width_max", "finger_speed_max", "grip_force"):
             check_number(f"RobotDescription: {name}", getattr(self, name), above=0.0)
+
+    @property
+    def dq_max(self) -> Array:
+        """The greatest speed of each joint at any position, rad/s, shape (7,)."""
+        return self.speed_limits.cap
 
 
 def franka() -> RobotDescription:
     """Describe the Panda of `pybullet_data` (Apache-2.0) with the limits of the Franka Research 3.
 
-    Limits: Franka Robotics, FR3 datasheet (velocity and position), FCI documentation (10 rad/s^2, 5000 rad/s^3).
-    Joint 6 stops at 3.75 rad, where the Panda's own geometry ends, and not at the FR3's 4.52.
+    Sources: Franka Robotics, FCI documentation, "Limits for Franka Research 3", and libfranka, `rate_limiting.h`
+    (velocity as a function of position, 10 rad/s^2, 5000 rad/s^3); FR3 datasheet (position). Position limits are a few
+    milliradians inside the datasheet's, so that up to them 0.02 rad/s are allowed, and so that joint 5, whose velocity
+    limit falls faster than the joint may brake, keeps it whenever it can stop before its position limit. Joint 6 stops
+    at 3.75 rad, where the Panda's own geometry ends, and not at the FR3's 4.52, and joint 7 at the Panda's 2.8973.
     """
     import pybullet_data  # type: ignore[import-untyped, unused-ignore]
 
@@ -86,9 +102,15 @@ def franka() -> RobotDescription:
         arm_joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
         finger_joints=("panda_finger_joint1", "panda_finger_joint2"),
         ee_link="panda_grasptarget",
-        q_lower=np.array((-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -2.8973)),
-        q_upper=np.array((2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 3.75, 2.8973)),
-        dq_max=np.array((2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26)),
+        q_lower=np.array((-2.7415, -1.7824, -2.8995, -3.0353, -2.8013, 0.5534, -2.8973)),
+        q_upper=np.array((2.7415, 1.7824, 2.8995, -0.1586, 2.8013, 3.75, 2.8973)),
+        speed_limits=SpeedLimits(
+            cap=np.array((2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26)),
+            offset=np.array((0.3, 0.2, 0.2, 0.3, 0.35, 0.35, 0.35)),
+            gain=np.array((12.0, 5.17, 7.0, 8.0, 34.0, 11.0, 34.0)),
+            lower=np.array((-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.54092, -3.0196)),
+            upper=np.array((2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196)),
+        ),
         ddq_max=np.full(7, 10.0),
         dddq_max=np.full(7, 5000.0),
         q_ready=np.array((0.0, 0.0, 0.0, -2.2, 0.0, 2.2, 0.785)),
