@@ -9,6 +9,7 @@ from dynaforge.demos import Episode
 from dynaforge.demos.schema import validate_steps
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import ConstantResidual, ExploringPolicy, Oracle, PlannerOnly, ResidualGenerator
+from dynaforge.generators.oracle import PhaseResidual, _policy
 from dynaforge.geometry import matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
@@ -147,6 +148,20 @@ def test_the_oracle_finds_what_some_constant_residual_can_win(env: ResidualEnv) 
     found = Oracle(m=64).attempt(env, missed)
     assert found.success
     assert found.steps["residual_action"].any()
+
+
+def test_every_other_residual_of_the_oracle_is_redrawn_for_each_phase(env: ResidualEnv) -> None:
+    which = condition(1, 4)
+    zero, constant, redrawn = (_policy(k, env, which) for k in range(3))
+    assert isinstance(zero, ConstantResidual)
+    assert isinstance(constant, ConstantResidual)
+    assert isinstance(redrawn, PhaseResidual)
+    assert not zero.action.any()
+    assert constant.action.any()
+    assert len(np.unique(redrawn.actions, axis=0)) == len(env.task.phases)
+    env.reset(options={"condition": which})
+    np.testing.assert_array_equal(redrawn(np.zeros(1, np.float32)), redrawn.actions[env.executor.index])
+    np.testing.assert_array_equal(_policy(2, env, which).actions, redrawn.actions)  # type: ignore[attr-defined]
 
 
 def test_generators_survive_pickling() -> None:

@@ -42,7 +42,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--attempts", type=WholeNumber(), default=100, help="conditions per block")
     parser.add_argument("--strata", action="store_true", help="spread each block evenly over 8 difficulty bins")
     parser.add_argument(
-        "--oracle-tries", type=WholeNumber(), help="constant residuals per condition, for oracle (default 64)"
+        "--oracle-tries",
+        type=WholeNumber(),
+        help="random residuals per condition, half constant, half redrawn for each phase, for oracle (default 64)",
     )
     parser.add_argument("--sigma", type=Number(0.0, 100.0), help="noise, for the generator exploring (default 0.25)")
     add_workers(parser)
