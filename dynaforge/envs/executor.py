@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynaforge.envs.ramp import Ramp
 from dynaforge.geometry import JointState, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, HandTarget, SceneState
@@ -56,7 +57,7 @@ class PhaseExecutor:
         self._planner = planner
         self._dt = control_dt
         self._lead_time = lead_time
-        self._steps = 0
+        self._steps = 0  # since the entry of the running phase
 
     def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
         """Enter the first phase.
@@ -68,8 +69,10 @@ class PhaseExecutor:
         """
         self.outcome: Outcome | None = None
         self._seed = condition.seed
-        self._start = state
+        self._start, self._steps = state, 0
         self._grasp: SceneState | None = None
+        self._spent = [0] * len(self.task.phases)  # control steps in each phase, in all its visits
+        self._checkpoint = 0
         self._frames = heading_frames(state, None)
         self._enter(0, state, reference)
 
@@ -82,19 +85,22 @@ class PhaseExecutor:
         """
         self._frames = heading_frames(state, self._frames)
         self._steps += 1
-        view = self._view(state)
-        phase = self.phase
+        self._spent[self.index] += 1
+        view, phase = self._view(state), self.phase
         for reason, impossible in (*phase.fails, *self.task.endings):
-            if self._holds(reason, impossible, view, self.action.target.pose):
+            if self._holds(reason, impossible, view):
                 return self._fail(reason)
-        if self._hold.push(self._holds("done", phase.done, view, self.action.target.pose)):
+        if self._hold.push(self._holds("done", phase.done, view)):
             if phase.takes_hold:
                 self._grasp = state
             if self.index + 1 == len(self.task.phases):
-                return self._end(checkpoint=self.task.n_checkpoints)
+                return self._end()
             return self._enter(self.index + 1, state, reference)
-        if self._steps * self._dt >= phase.timeout - 1e-9:
+        if self._spent[self.index] * self._dt >= phase.timeout - 1e-9:
             return self._fail(phase.failure)
+        if phase.retry is not None and self._holds("retry", phase.retry[1], view):
+            names = [each.name for each in self.task.phases]
+            return self._enter(names.index(phase.retry[0]), state, reference)
         self._plan(view)
         return None
 
@@ -106,7 +112,7 @@ class PhaseExecutor:
     @property
     def phase_time_left(self) -> float:
         """Fraction of the running phase's timeout that is left, in [0, 1]."""
-        return 1.0 - self._steps * self._dt / self.phase.timeout
+        return 1.0 - self._spent[self.index] * self._dt / self.phase.timeout
 
     @property
     def frame(self) -> Pose:
@@ -119,14 +125,19 @@ class PhaseExecutor:
         return self._frozen
 
     def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
-        self.index = index
+        speed = self.task.phases[index].ramp
+        left = None if speed is None or not self._steps else self._now(self._view(state))
+        self.index, self._checkpoint = index, max(self._checkpoint, index)
         self._place = f"Phase {self.phase.name!r}"  # which the message of a mistake in one of its words begins with
         self._steps = 0
         self._hold = Hold(self.phase, control_dt=self._dt)
         self._entry, self._entry_frames = state, self._frames
         self._trajectory: JointTrajectory | None = None
         self._frozen = False
+        self._ramp: Ramp | None = None
         view = self._view(state)
+        if speed is not None and left is not None:
+            self._ramp = Ramp.between(left, self._aim(view), self.frame, speed)
         if self.phase.mode is Mode.GLOBAL:
             self._target = self._aim(view)
             try:
@@ -145,11 +156,20 @@ class PhaseExecutor:
         elif not self._frozen:
             self._target = self._aim(view)
             until = phase.track_until
-            self._frozen = until is not None and self._holds("track_until", until, view, self._target)
-        self.action = PlannedAction(HandTarget(self._target, phase.width), phase.gate, self.index, sample)
+            self._frozen = until is not None and self._holds("track_until", until, view)
+        target = self._ramped(self._target, self._steps + 1)
+        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample)
 
-    def _holds(self, role: str, predicate: Predicate, view: PhaseView, target: Pose) -> bool:
-        return evaluate_predicate(self._place, role, predicate, view, target)
+    def _now(self, view: PhaseView) -> Pose:
+        """Return where the running phase wants the hand now, at the end of a control step."""
+        settled = self._frozen or self._trajectory is not None
+        return self._ramped(self._target if settled else self._aim(view), self._steps)
+
+    def _ramped(self, target: Pose, steps: int) -> Pose:
+        return target if self._ramp is None else self._ramp.applied(target, self.frame, steps * self._dt)
+
+    def _holds(self, role: str, predicate: Predicate, view: PhaseView) -> bool:
+        return evaluate_predicate(self._place, role, predicate, view, self._target)
 
     def _aim(self, view: PhaseView) -> Pose:
         return evaluate_target(self._place, self.phase.target, view)
@@ -166,12 +186,12 @@ class PhaseExecutor:
         )
 
     def _fail(self, reason: str) -> None:
-        self._end(checkpoint=self.index, failure=reason)
+        self._end(failure=reason)
 
-    def _end(self, *, checkpoint: int, failure: str = "") -> None:
+    def _end(self, *, failure: str = "") -> None:
         self.outcome = Outcome(
             success=not failure,
-            checkpoint=checkpoint,
+            checkpoint=self._checkpoint if failure else self.task.n_checkpoints,
             n_checkpoints=self.task.n_checkpoints,
             failure=failure,
             phase=self.phase.name,

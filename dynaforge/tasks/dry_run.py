@@ -55,6 +55,7 @@ def _check_phase_words(phase: Phase, view: PhaseView) -> None:
         if not isinstance(error.__cause__, MADE_UP_SCENE_ERRORS):
             raise
     predicates = [("done", phase.done), ("track_until", phase.track_until)]
+    predicates += [("retry", phase.retry[1])] if phase.retry else []
     predicates += [(f"fails ({reason})", predicate) for reason, predicate in phase.fails]
     for role, predicate in predicates:
         if predicate is not None:

@@ -13,6 +13,7 @@ from dynaforge.tasks.predicates.logic import PREDICATE_EXAMPLE
 from dynaforge.tasks.targets import Target
 
 Ending = tuple[str, Predicate]
+Retry = tuple[str, Predicate]
 
 
 class Mode(StrEnum):
@@ -32,14 +33,23 @@ class Phase:
         target: Object-centric target of Eq. 3.
         width: Commanded opening between the fingers, metres.
         done: Success predicate; the phase ends once it has held for `hold` seconds.
-        timeout: Seconds after which the episode fails.
+        timeout: Seconds after which the episode fails; all visits of a phase together may last so long.
         failure: The reason recorded for a timeout.
         gate: The residual gate m of Eq. 5.
         hold: Seconds from the first to the last of the consecutive control steps at which `done` must hold.
+        ramp: Speed in m/s at which the target goes from where the phase before has it to where this phase wants it. The
+            difference between the two at entry, turned with the heading of the object, shrinks by this speed, so that
+            the hand keeps following the object meanwhile; `done` still refers to the target where it ends. None: it
+            jumps. Eq. 3 has no ramp; it is our deviation, because a jump of the target in height slows the chase of a
+            moving object (all joints arrive together), and because the speed bounds how hard the hand strikes what
+            lies below.
         track_until: Once this holds, the target freezes, so that the hand does not chase what it pushes.
         takes_hold: Whether the pose of the grasped object in the hand is measured at the end of the phase, as the tool
             frame of later targets.
         residual_share: Factor on the task's residual scales in this phase.
+        retry: (name of an earlier phase, predicate): when the predicate holds while this phase runs, the program goes
+            back to that phase. The time spent in each phase counts on, so that timeouts end every episode, and a
+            checkpoint that was passed stays passed.
         fails: (reason, predicate) pairs; while this phase runs, the episode fails as soon as one of them holds.
 
     Raises:
@@ -57,9 +67,11 @@ class Phase:
     failure: str
     gate: bool = False
     hold: float = 0.0
+    ramp: float | None = None
     track_until: Predicate | None = None
     takes_hold: bool = False
     residual_share: float = 1.0
+    retry: Retry | None = None
     fails: tuple[Ending, ...] = ()
 
     def __post_init__(self) -> None:
@@ -83,7 +95,12 @@ class Phase:
             )
         if self.track_until is not None:
             check_callable(f"{place}: track_until", self.track_until, expected=PREDICATE_EXAMPLE)
-        for name, value in (("gate", self.gate), ("track_until", self.track_until)):
+        if self.ramp is not None:
+            check_number(f"{place}: ramp", self.ramp, above=0.0)
+        if self.retry is not None:
+            _check_retry(f"{place}: retry", self.retry)
+            object.__setattr__(self, "retry", tuple(self.retry))
+        for name, value in (("gate", self.gate), ("ramp", self.ramp), ("track_until", self.track_until)):
             if value and self.mode is Mode.GLOBAL:
                 raise ValueError(
                     f"{place}: {name} has no effect in Mode.GLOBAL, where the hand follows one trajectory planned at "
@@ -98,6 +115,16 @@ class Phase:
             control_dt: Duration of a control step, seconds.
         """
         return samples > 0 and (samples - 1) * control_dt >= self.hold - 1e-9
+
+
+def _check_retry(what: str, value: Any) -> None:
+    """Raise ValueError unless the value is a pair of a name and a predicate."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(
+            f'{what} is {quoted(value)}; it must be a pair of an earlier phase and a predicate: ("track", Missed()).'
+        )
+    check_text(f"{what}: the phase", value[0])
+    check_callable(f"{what}: the predicate", value[1], expected=PREDICATE_EXAMPLE)
 
 
 def check_endings(what: str, value: Any) -> tuple[Ending, ...]:

@@ -16,6 +16,7 @@ from dynaforge.sim.checks import (
     check_text,
     check_tuple,
     check_whole,
+    close_match,
     quoted,
 )
 from dynaforge.sim.robot import HAND_WIDTH
@@ -158,7 +159,12 @@ class Task:
                 f"{place}: no phase has gate=True, so a residual could never act; open the gate where the hand tracks."
             )
         dt = self.scene.control_dt
-        for phase in self.phases:
+        for k, phase in enumerate(self.phases):
+            if phase.retry is not None and phase.retry[0] not in names[:k]:
+                raise ValueError(
+                    f"Phase {phase.name!r}: retry goes back to {phase.retry[0]!r}, which is no phase before it; those "
+                    f"are {', '.join(map(repr, names[:k])) or 'none'}.{close_match(phase.retry[0], names[:k])}"
+                )
             if not phase.is_held(math.ceil((phase.timeout - 1e-9) / dt), dt):
                 raise ValueError(
                     f"Phase {phase.name!r}: hold {phase.hold:g} s leaves no control step of {dt:.4g} s before its "
@@ -175,9 +181,8 @@ class Task:
                 )
             if reference not in names:
                 raise ValueError(unknown_name_message(place, f"aims at {quoted(reference)}", reference, names))
-            words = {"target": phase.target, "done": phase.done, "track_until": phase.track_until, "fails": phase.fails}
-            for role, word in words.items():
-                check_word(place, role, word, names)
+            for role in ("target", "done", "track_until", "retry", "fails"):
+                check_word(place, role, getattr(phase, role), names)
         check_word("Task", "impossible", self.impossible, names)
 
     @property

@@ -14,8 +14,9 @@ from dynaforge.geometry import JointState, JointTrajectory, Pose
 from dynaforge.planning import JointReference, PlanFailure
 from dynaforge.sim import BodyState, SceneState
 from dynaforge.tasks import Mode, Outcome, Phase, Task, get_task
-from dynaforge.tasks.predicates import Fallen, Grasped, Lifted, Touched
+from dynaforge.tasks.predicates import Fallen, Grasped, Lifted, Not, Reached, Touched
 from dynaforge.tasks.targets import DOWN_ALONG_X, Above
+from dynaforge.tasks.view import PhaseView
 
 CAN = get_task("can")
 DT = CAN.scene.control_dt
@@ -317,3 +318,88 @@ def test_the_object_in_the_hand_is_measured_where_a_phase_takes_hold() -> None:
     assert executor._view(UP).grasp is GRASPED
     executor.reset(scene(), CONDITION, REFERENCE)
     assert executor._view(scene()).grasp is None, "an episode does not inherit the grasp of the one before"
+
+
+def heights(executor: PhaseExecutor, *, x: float = 0.5, steps: int) -> list[float]:
+    found = []
+    for _ in range(steps):
+        found.append(float(executor.action.target.pose.position[2]))
+        executor.advance(scene(x), REFERENCE)
+    return found
+
+
+def descent(**more) -> Task:
+    """From 10 cm above the can onto it at 0.6 m/s, 2 cm a control step."""
+    above = replace(phase("touch", Touched("can")), target=Above("can", 0.1))
+    return program(above, phase("descend", Reached(0.005), timeout=2.0, ramp=0.6, **more))
+
+
+def test_a_ramp_takes_the_target_steadily_from_the_phase_before_to_its_own() -> None:
+    executor = start(descent())
+    executor.advance(scene(touching=(True, False)), REFERENCE)
+    assert executor.phase.name == "descend"
+    np.testing.assert_allclose(heights(executor, steps=7), 0.033 + np.array((8, 6, 4, 2, 0, 0, 0)) / 100)
+
+
+def test_a_ramp_turns_with_the_heading_of_its_object_and_follows_it() -> None:
+    behind = replace(phase("touch", Touched("can")), target=Shifted("can", -0.1))
+    executor = start(program(behind, phase("follow", Reached(0.005), ramp=0.6)))
+    executor.advance(scene(touching=(True, False)), REFERENCE)
+    turned = scene(0.6)
+    turned.objects["can"].velocity[:2] = (0.0, 0.5)  # it moved 10 cm and now goes to the left
+    executor.advance(turned, REFERENCE)
+    np.testing.assert_allclose(executor.action.target.pose.position, (0.6, -0.06, 0.033), atol=1e-12)
+
+
+def test_done_refers_to_where_the_ramp_ends() -> None:
+    executor = start(descent())
+    executor.advance(scene(touching=(True, False)), REFERENCE)
+    there = replace(scene(), ee=executor.action.target.pose)  # on the ramp, 8 cm above its end
+    executor.advance(there, REFERENCE)
+    assert executor.outcome is None
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A target behind an object on its x axis."""
+
+    object: str
+    by: float
+
+    def __call__(self, view: PhaseView) -> Pose:
+        frame = view.frames[self.object]
+        return Pose(DOWN_ALONG_X, frame.apply(np.array((self.by, 0.0, 0.0))))
+
+
+LOW = Not(Lifted("can", 0.05))
+TRY_AGAIN = program(
+    phase("track", Lifted("can", 0.05), timeout=0.5), phase("press", Touched("can"), timeout=0.3, retry=("track", LOW))
+)
+
+
+def test_a_retry_goes_back_and_keeps_the_checkpoint_and_the_time_that_was_spent() -> None:
+    executor = start(TRY_AGAIN)
+    executor.advance(scene(z=0.1), REFERENCE)
+    assert (executor.phase.name, executor.phase_time_left) == ("press", 1.0)
+    executor.advance(scene(), REFERENCE)
+    assert executor.phase.name == "track"
+    assert executor.phase_time_left == pytest.approx(1 - 1 / 15)
+    for _ in range(14):
+        executor.advance(scene(), REFERENCE)
+    assert executor.outcome == failed(1, "track took too long", "track")
+
+
+def test_retries_end_with_the_time_of_their_phases_and_earn_no_checkpoint_twice() -> None:
+    executor, states, visits = start(TRY_AGAIN), [scene(z=0.1), scene()], 0
+    while executor.outcome is None:
+        executor.advance(states[visits % 2], REFERENCE)
+        visits += 1
+    assert executor.outcome == failed(1, "press took too long", "press")
+    assert visits == 18, "nine of 0.3 s in press, one in track before each"
+
+
+def test_a_retry_that_succeeds_is_a_success() -> None:
+    executor = start(TRY_AGAIN)
+    for state in (scene(z=0.1), scene(), scene(z=0.1), scene(z=0.1, touching=(True, False))):
+        executor.advance(state, REFERENCE)
+    assert executor.outcome == Outcome(success=True, checkpoint=2, phase="press")
