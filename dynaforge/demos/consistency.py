@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from dynaforge.demos.episode import Episode
 from dynaforge.geometry import Array, Pose, matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
+from dynaforge.sim import BodyState
 from dynaforge.tasks import Task
+from dynaforge.tasks.view import heading_frame
 
 EXACT = 1e-9  # metres, radians, seconds: how far rounding on another machine may change a sum
 MEASURED = 1e-6  # metres, and components of a unit quaternion: Bullet's kinematics against Pinocchio's
+NO_SPIN = np.zeros(3)
 Steps = Mapping[str, NDArray[Any]]
 
 
@@ -68,6 +71,8 @@ def _outcome(episode: Episode, task: Task) -> Iterator[str]:
         last = names.index(outcome.phase)
         if outcome.success and last != len(names) - 1:
             yield f"it succeeds in phase {outcome.phase!r}, which is not the last"
+    if "phase" in episode.steps and len(episode):  # a program that went back keeps the checkpoints that it passed
+        last = max(last, int(episode.steps["phase"].max()))
     reached = len(names) if outcome.success else last
     if outcome.checkpoint != reached:
         yield f"its checkpoint is {outcome.checkpoint}, where its phase {outcome.phase!r} makes it {reached}"
@@ -87,18 +92,21 @@ def _clock(episode: Episode, task: Task) -> Iterator[str]:
 
 
 def _program(episode: Episode, task: Task) -> Iterator[str]:
-    """Check phase and gate: the program advances one phase at a time, and the phase says whether the gate is open."""
+    """Check phase and gate: the program advances one phase at a time or retries, and the phase says the gate."""
     names = [phase.name for phase in task.phases]
     if "phases" in episode.meta and list(episode.meta["phases"]) != names:
         yield f"its phases are {episode.meta['phases']}, those of the task {names}"
     if not _has(episode.steps, "phase"):
         return
     phase = episode.steps["phase"].astype(int)
-    wrong = (phase < 0) | (phase >= len(names)) | ~np.isin(np.diff(phase, prepend=0), (0, 1))
+    ways = {(k, k + step) for k in range(len(names)) for step in (0, 1)}
+    ways |= {(k, names.index(each.retry[0])) for k, each in enumerate(task.phases) if each.retry is not None}
+    wrong = (phase < 0) | (phase >= len(names))
+    wrong |= [way not in ways for way in zip(np.r_[0, phase[:-1]].tolist(), phase.tolist(), strict=True)]
     yield from _first(wrong, "phase does not follow the task's program")
     # An episode that fails as it enters a phase has no step of it.
     last = episode.outcome.phase
-    if last in names and names.index(last) - phase[-1] not in (0, 1):
+    if last in names and (int(phase[-1]), names.index(last)) not in ways:
         yield f"phase ends with {phase[-1]}, the episode in {last!r}"
     if _has(episode.steps, "gate") and not wrong.any():
         gates = np.array([each.gate for each in task.phases])
@@ -106,7 +114,7 @@ def _program(episode: Episode, task: Task) -> Iterator[str]:
 
 
 def _residual(steps: Steps, task: Task) -> Iterator[str]:
-    """Check that the residual is zero while the gate is closed, within its scales, and constant within a decision."""
+    """Check that the residual is zero while the gate is closed, within its scales, and one action within a decision."""
     if not _has(steps, "residual_action", "gate"):
         return
     residual, gate = steps["residual_action"], steps["gate"]
@@ -118,12 +126,43 @@ def _residual(steps: Steps, task: Task) -> Iterator[str]:
     for part in (slice(0, 3), slice(3, 6), slice(6, 7)):  # a rotated frame turns each part, but makes none longer
         size = np.linalg.norm(residual[:, part], axis=1)
         yield from _first(size > np.linalg.norm(scales[part]) + EXACT, "residual_action is beyond its scale")
+    if (headings := _headings(steps, task)) is None:
+        return
+    shares = np.array([phase.residual_share for phase in task.phases])
+    local = residual.copy()
+    for part in (slice(0, 3), slice(3, 6)):
+        local[:, part] = np.einsum("ti,tij->tj", residual[:, part], headings)  # row vectors: v_frame = v_world @ R
+    local /= shares[steps["phase"].astype(int)][:, None]
     index = np.arange(len(gate))
     opened = np.flatnonzero(gate & ~np.roll(gate, 1) | (index == 0))
     since_opening = index - opened[np.searchsorted(opened, index, side="right") - 1]
     within_decision = gate[1:] & gate[:-1] & (since_opening[1:] % task.residual.decision_steps != 0)
-    changed = (residual[1:] != residual[:-1]).any(axis=1)
+    changed = (np.abs(np.diff(local, axis=0)) > EXACT).any(axis=1)
     yield from _first(np.r_[False, within_decision & changed], "residual_action changes within a decision")
+
+
+def _headings(steps: Steps, task: Task) -> Array | None:
+    """Return the axes of a_res at every step, shape (T, 3, 3); None where the columns do not tell them."""
+    phase = steps.get("phase")
+    if phase is None or not ((phase >= 0) & (phase < len(task.phases))).all():
+        return None
+    if task.residual.frame == "world":
+        return np.broadcast_to(np.eye(3), (len(phase), 3, 3))
+    free = {body.name for body in task.scene.bodies}
+    aims = [each.target.object for each in task.phases]
+    turned: dict[str, Array] = {}
+    for name in set(aims):
+        kind = "object" if name in free else "fixture"
+        columns = [steps.get(f"{kind}/{name}/{column}") for column in ("position", "quat_wxyz", "velocity")]
+        if any(column is None for column in columns):
+            return None
+        frame: Pose | None = None
+        rotations = []
+        for position, quat, velocity in zip(*columns, strict=True):
+            frame = heading_frame(BodyState(Pose.from_quat(position, quat), velocity, NO_SPIN), frame)
+            rotations.append(frame.rotation)
+        turned[name] = np.array(rotations)
+    return np.array([turned[aims[k]][t] for t, k in enumerate(phase.astype(int))])
 
 
 def _request(steps: Steps) -> Iterator[str]:

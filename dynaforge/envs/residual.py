@@ -7,9 +7,10 @@ The equation, evaluated at every control step:
 Its symbols, and where each of them is computed:
 
     a_plan    the planner's target for the hand: a pose and an opening (`PlannedAction.target`)
-    a_res     the policy's action, one number in [-1, 1] per dimension
+    a_res     the policy's action, one number in [-1, 1] per dimension, the same for all control steps of a decision
     scale     metres and radians per unit, the phase's share included (`ResidualScale.physical`)
-    frame     the axes of a_res: the heading frame of the phase's object, or the world (`ResidualScale.physical`)
+    frame     the axes of a_res: the heading frame of the phase's object, with which the residual turns at every
+              control step, or the world (`ResidualScale.physical`)
     m         the gate, 1 or 0: whether the running phase lets the residual act (`gated`)
     +         positions and widths add; the rotation vector turns the hand in place (`requested_target`)
     project   fingers above the table, an opening that the hand has, and of what then remains the nearest joint motion
@@ -26,7 +27,7 @@ from dynaforge.planning import JointReference, LocalPlanner
 from dynaforge.sim import HandTarget
 from dynaforge.tasks import Frame, ResidualSpec
 
-ROUNDING = 1.0 + 1e-9  # factor by which rounding may take a residual beyond its bound
+RESOLUTION = 2.0**-24  # of an action, that of a float32 near 1: so a recorded residual tells its action to the bit
 
 
 class ResidualScale:
@@ -45,13 +46,22 @@ class ResidualScale:
 
     def __init__(self, spec: ResidualSpec, frame: Frame | None = None) -> None:
         self.frame: Frame = frame or spec.frame
-        self._all = np.array(spec.scales)
-        self._active = np.flatnonzero(self._all)
-        self._scales = self._all[self._active]
+        scales = np.array(spec.scales)
+        self._active = np.flatnonzero(scales)
+        self._scales = scales[self._active]
         self.size = len(self._active)
+
+    def read(self, action: Array) -> Array:
+        """Return a_res of Eq. 5: what an env is given, within [-1, 1] and in multiples of `RESOLUTION`, shape (size,)."""
+        rounded: Array = (
+            np.round(action.clip(-1.0, 1.0) / RESOLUTION) * RESOLUTION + 0.0
+        )  # no -0.0, which has other bits
+        return rounded
 
     def physical(self, action: Array, executor: PhaseExecutor) -> Array:
         """Return scale * a_res of Eq. 5 in the axes of the world, shape (7,): metres, radians, metres of width.
+
+        An action that is kept turns with its frame, so this is evaluated anew at every control step.
 
         Args:
             action: a_res, shape (size,).
@@ -65,21 +75,20 @@ class ResidualScale:
             residual[3:6] = rotation @ residual[3:6]
         return residual
 
-    def nearest_possible(self, residual: Array, executor: PhaseExecutor) -> Array:
-        """Return the physical residual nearest to a given one that an action can cause now, shape (7,).
+    def nearest_action(self, residual: Array, executor: PhaseExecutor) -> Array:
+        """Return the action whose physical residual is nearest to a given one now, shape (size,).
 
         Args:
-            residual: A residual such as `physical` returns, shape (7,); a possible one is returned as it is.
+            residual: A residual such as `physical` returns, shape (7,).
             executor: As for `physical`.
         """
-        bound = executor.phase.residual_share * self._all
-        turn = np.eye(7)
+        local = residual.copy()
         if self.frame == "target":
-            turn[:3, :3] = turn[3:6, 3:6] = executor.frame.rotation
-        local = turn.T @ residual
-        if (np.abs(local) <= bound * ROUNDING + 1e-12).all():
-            return residual
-        return np.asarray(turn @ local.clip(-bound, bound))
+            to_frame = executor.frame.rotation  # row vectors: v_frame = v_world @ R_world_frame
+            local[:3] = residual[:3] @ to_frame
+            local[3:6] = residual[3:6] @ to_frame
+        bound = executor.phase.residual_share * self._scales
+        return self.read(local[self._active] / bound)
 
 
 def gated(residual: Array | None, planned: PlannedAction) -> Array | None:

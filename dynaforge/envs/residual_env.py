@@ -26,15 +26,16 @@ GATE_MODES: tuple[GateMode, ...] = get_args(GateMode)
 class ResidualEnv(WorldEnv):
     """A task with its planning prior inside: the action only corrects it.
 
-    One step is one decision: a residual kept for up to `decision_steps` control steps, fewer where the gate changes.
+    One step is one decision: an action kept for up to `decision_steps` control steps, fewer where the gate changes. Its
+    residual turns with its frame at every control step.
     The reward is 0 until the end and then R of Eq. 6. A timeout terminates, since truncation would make
     Stable-Baselines3 add a bootstrapped value to R. Every info contains "is_success", which is False until success.
 
     Films run at true speed. RecordVideo, VecVideoRecorder and "rgb_array_list" take one image per step; so while
     pictures are taken, a step is one control step, 1 / metadata["render_fps"] seconds. After a `render()` that follows
-    a step, the next step ends after one control step; where no decision is due, its action is ignored and the residual
-    is kept. After a `render()` that follows a reset, the episode begins again at t = 0, before the phases that the
-    reset had run through. Decisions and observations are those of the same episode without a film: a policy that
+    a step, the next step ends after one control step; where no decision is due, its action is ignored and the one
+    before is kept. After a `render()` that follows a reset, the episode begins again at t = 0, before the phases that
+    the reset had run through. Decisions and observations are those of the same episode without a film: a policy that
     depends only on its observations ends in the same state, bit for bit. An env that is never rendered steps as one
     without `render_mode`.
 
@@ -118,8 +119,7 @@ class ResidualEnv(WorldEnv):
         filmed, self._fresh = self._filmed, False
         decides = self._steps_left == 0 and self.executor.outcome is None and self.executor.action.gate
         if decides:
-            self._last_action = np.clip(values, -1.0, 1.0)
-            self._residual = self.residual_scale.physical(self._last_action, self.executor)
+            self._last_action = self.residual_scale.read(values)
             self._steps_left = self.task.residual.decision_steps
         self._run_decision(at_most=1 if filmed else self.task.residual.decision_steps)
         if self.gate_mode == "skip" and not filmed:
@@ -156,7 +156,8 @@ class ResidualEnv(WorldEnv):
         for _ in range(min(self._steps_left, at_most) if gated else at_most):
             if self.executor.outcome is not None:
                 return
-            self._control_step(self._residual if gated else None)
+            residual = self.residual_scale.physical(self._last_action, self.executor) if gated else None
+            self._control_step(residual)
             self._steps_left -= gated
             if self.executor.outcome is not None or self.executor.action.gate != gated:
                 self._steps_left = 0

@@ -9,7 +9,6 @@ from dynaforge.demos import Episode
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
-from dynaforge.geometry import Array
 from dynaforge.tasks import Outcome, Task
 
 
@@ -26,8 +25,8 @@ class Repeater:
     def __call__(self, episode: Episode) -> Episode:
         """Make the attempt of an episode again and record it; a genuine recording is repeated bit for bit.
 
-        The recorded residual is taken at the beginning of each decision, as far as a policy could have asked for it,
-        and kept during the decision. The executor decides when the episode ends, not the recording.
+        The action is taken from the recorded residual at the beginning of each decision, as far as a policy could have
+        asked for it, and kept during the decision. The executor decides when the episode ends, not the recording.
 
         Raises:
             ValueError: The condition is not one of the task, or no residual was recorded.
@@ -56,17 +55,17 @@ class Repeater:
         world, executor = self._env.world, self._env.executor
         state = world.reset(episode.condition)
         executor.reset(state, episode.condition, world.reference)
-        residual: Array | None = None
+        scale, action = self._env.residual_scale, np.zeros(self._env.residual_scale.size)
         steps_left = 0  # of the decision
         for recorded in residuals:
             if executor.outcome is not None:
                 break
             if not executor.action.gate:
-                residual, steps_left = None, 0
+                steps_left = 0
             elif steps_left == 0:
-                residual = self._env.residual_scale.nearest_possible(recorded, executor)
+                action = scale.nearest_action(recorded, executor)
                 steps_left = self._env.task.residual.decision_steps
-            state = world.execute(executor.action, residual)
+            state = world.execute(executor.action, scale.physical(action, executor))
             executor.advance(state, world.reference)
             steps_left = max(steps_left - 1, 0)
         return executor.outcome or Outcome(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from dynaforge.geometry import Pose, one_line, rotation_z
-from dynaforge.sim import SceneState
+from dynaforge.sim import BodyState, SceneState
 
 HEADING_SPEED = 0.02  # m/s: below this speed a heading keeps its last direction
 
@@ -45,17 +45,21 @@ class PhaseView:
 
 def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> dict[str, Pose]:
     """Return the heading frame of every object; `previous` are those of the last control step, None at the start."""
-    frames = {}
-    for name, body in state.objects.items():
-        vx, vy, _ = body.velocity.tolist()
-        if vx * vx + vy * vy > HEADING_SPEED**2:
-            rotation = rotation_z(math.atan2(vy, vx))
-        elif previous is not None:
-            rotation = previous[name].rotation
-        else:
-            rotation = rotation_z(yaw(body.pose))
-        frames[name] = Pose(rotation, body.pose.position)
-    return frames
+    return {
+        name: heading_frame(body, None if previous is None else previous[name]) for name, body in state.objects.items()
+    }
+
+
+def heading_frame(body: BodyState, previous: Pose | None) -> Pose:
+    """Return the heading frame of one object; `previous` is that of the last control step, None at the start."""
+    vx, vy, _ = body.velocity.tolist()
+    if vx * vx + vy * vy > HEADING_SPEED**2:
+        rotation = rotation_z(math.atan2(vy, vx))
+    elif previous is not None:
+        rotation = previous.rotation
+    else:
+        rotation = rotation_z(yaw(body.pose))
+    return Pose(rotation, body.pose.position)
 
 
 def yaw(pose: Pose) -> float:

@@ -46,13 +46,13 @@ def test_an_action_is_scaled_by_the_share_and_turned_into_the_world(frame: str) 
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_what_an_action_stands_for_is_possible_and_what_none_does_is_brought_to_the_bound(frame: str) -> None:
+def test_a_residual_tells_its_action_and_an_impossible_one_the_nearest(frame: str) -> None:
     scale, now, rng = ResidualScale(SPEC, frame), running(), np.random.default_rng(0)
-    for _ in range(50):
-        residual = scale.physical(rng.uniform(-1.0, 1.0, scale.size), now)
-        assert scale.nearest_possible(residual, now) is residual
-    most = scale.physical(np.ones(scale.size), now)
-    np.testing.assert_allclose(scale.nearest_possible(3.0 * most, now), most, atol=1e-15)
+    for size in np.logspace(-9, 0, 50):
+        action = scale.read(rng.uniform(-size, size, scale.size))
+        assert scale.nearest_action(scale.physical(action, now), now).tobytes() == action.tobytes()
+    most = np.array((1.0, -1.0, 1.0, -1.0))
+    np.testing.assert_array_equal(scale.nearest_action(3.0 * scale.physical(most, now), now), most)
 
 
 def test_a_closed_gate_leaves_the_plan_as_it_is_and_an_open_one_lets_the_residual_act() -> None:

@@ -141,6 +141,22 @@ def test_the_residual_is_scaled_and_turned_into_the_frame_of_the_object(skip: Tr
     np.testing.assert_allclose(offset, first.residual[:3], atol=1e-12)
 
 
+def test_a_kept_residual_turns_with_its_frame_at_every_control_step() -> None:
+    """The clock turns by up to 10 degrees a control step; the action is the same, and so its residual turns alike."""
+    env = Traced(ResidualEnv("alarmclock"))
+    clock = env.unwrapped.task
+    which = clock.conditions.draw(np.random.default_rng(0), 7, 8)  # of the fastest
+    env.reset(options={"condition": which})
+    env.step(np.array((1, 0, 0), np.float32))
+    steps = env.trace.steps[-clock.residual.decision_steps :]
+    headings = [each.before.objects["alarmclock"].velocity[:2] for each in steps]
+    for step, heading in zip(steps, headings, strict=True):
+        ahead = clock.residual.translation[0] * heading / np.linalg.norm(heading)
+        np.testing.assert_allclose(step.residual[:2], ahead, atol=1e-9)
+    assert np.linalg.norm(steps[-1].residual - steps[0].residual) > 1e-3
+    env.close()
+
+
 def test_the_width_residual_changes_the_width_alone(skip: Traced) -> None:
     skip.reset(options={"condition": condition(4)})
     skip.step(np.array((0, 0, 0, 0, -1), np.float32))
