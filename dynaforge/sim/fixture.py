@@ -109,9 +109,10 @@ class Fixture:
         link = self._client.getLinkState(self.body, self._link, computeLinkVelocity=1, computeForwardKinematics=1)
         return BodyState(pose_of(link[4], link[5]), np.array(link[6]), np.array(link[7]))
 
-    def touched_by(self, contacts: tuple[Any, ...]) -> list[int]:
-        """Return the robot's links that touch the tracked link, given the robot's contacts with this fixture."""
-        return [contact[3] for contact in contacts if contact[4] == self._link]
+    @property
+    def tracked(self) -> dict[int, int]:
+        """Index of the tracked link of each variant, by the index of its body; -1 is the root link."""
+        return dict(zip(self.variants, self._links, strict=True))
 
     @property
     def pressed(self) -> float:

@@ -15,6 +15,7 @@ from dynaforge.sim.bullet_scene import load_scene
 from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_picture
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
+from dynaforge.sim.contacts import ContactReader
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.shapes import LinkName, VisualShape, link_poses, visual_shapes
 from dynaforge.sim.spec import Launch, Placement, SceneSpec
@@ -106,7 +107,7 @@ class SimScene:
         self._ee_state = partial(client.getLinkState, robot.body, robot.ee, computeForwardKinematics=1)
         self._body_pose = client.getBasePositionAndOrientation
         self._body_twist = client.getBaseVelocity
-        self._contacts = client.getContactPoints
+        self._contacts = ContactReader(self._bullet)
         self._register = client.setCollisionFilterGroupMask
         free = {name: body.body for name, body in self._bullet.free.items()}
         self._observed = tuple(free.items())
@@ -203,19 +204,14 @@ class SimScene:
         joints = self._joint_states()
         dq = np.array([joint[1] for joint in joints[:7]])
         ee = self._ee_pose()
-        robot, table, fixtures = self._bullet.robot, self._bullet.table, self._bullet.fixtures
-        left, right = robot.fingers
-        objects, touching, on_table = {}, {}, {}
+        fixtures = self._bullet.fixtures
+        contacts = self._contacts.read(ee)
+        objects = {}
         for name, body in self._observed:
             velocity, angular = self._body_twist(body)
             objects[name] = BodyState(pose_of(*self._body_pose(body)), np.array(velocity), np.array(angular))
-            links = [contact[3] for contact in self._contacts(robot.body, body)]
-            touching[name] = (left in links, right in links)
-            on_table[name] = bool(self._contacts(body, table))
         for name, fixture in fixtures.items():
             objects[name] = fixture.observe()
-            links = fixture.touched_by(self._contacts(robot.body, fixture.body))
-            touching[name] = (left in links, right in links)
         return SceneState(
             time=self._time,
             q=np.array([joint[0] for joint in joints[:7]]),
@@ -223,8 +219,9 @@ class SimScene:
             ee=ee,
             width=joints[7][0] + joints[8][0],
             objects=objects,
-            touching=touching,
-            on_table=on_table,
+            touching={name: contacts.touching(name) for name in objects},
+            on_table={name: (name, "table") in contacts.supports for name, _ in self._observed},
+            contacts=contacts,
             stopped=bool((np.abs(dq) > self._stop_speeds).any()),
             pressed={name: fixture.pressed for name, fixture in fixtures.items() if fixture.spec.spring},
         )
@@ -245,7 +242,7 @@ class SimScene:
         """
         bolted = {"table", *self._bullet.fixtures}
         return {
-            (a, b): max((-contact[8] for contact in self._contacts(i, j)), default=0.0)
+            (a, b): max((-contact[8] for contact in self._bullet.client.getContactPoints(i, j)), default=0.0)
             for (a, i), (b, j) in combinations(self._bullet.bodies.items(), 2)
             if not {a, b} <= bolted
         }

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from dynaforge.geometry import Array, Pose, one_line
+from dynaforge.sim.contacts import NO_CONTACTS, Contacts
 
 
 class BodyColumn(NamedTuple):
@@ -68,10 +69,11 @@ class SceneState:
         ee: `T_world_ee`, measured.
         width: Measured opening between the fingers, metres.
         objects: Free bodies, and the tracked links of fixtures, by name.
-        touching: For each of these, whether the left and the right finger touch it.
-        on_table: For each free body, whether it touches the table.
+        touching: For each of these, whether the left and the right finger press on it, however lightly.
+        on_table: For each free body, whether the table carries some of its weight.
         stopped: Whether the robot stopped itself because a joint moved too fast.
         pressed: For each fixture with a spring, how far it is pressed in, metres.
+        contacts: Who presses on whom, and how hard.
     """
 
     time: float
@@ -84,6 +86,7 @@ class SceneState:
     on_table: Mapping[str, bool]
     stopped: bool = False
     pressed: Mapping[str, float] = field(default_factory=dict)
+    contacts: Contacts = NO_CONTACTS
 
     def __repr__(self) -> str:
         return f"SceneState({self.time:.3f} s, {', '.join(self.objects)}, hand {1e3 * self.width:.0f} mm open)"
