@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from dynaforge.envs.ramp import Ramp
 from dynaforge.geometry import JointState, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, HandTarget, SceneState
+from dynaforge.sim.hand_target import raised_to
 from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
@@ -27,12 +29,14 @@ class PlannedAction:
         phase: Index of the running phase.
         sample: In a global phase, the sample of the trajectory, which is followed as it is; else None, and inverse
             kinematics tracks `target`.
+        lowest: Least height of the end effector in the world, metres, to which the projection raises what is requested.
     """
 
     target: HandTarget
     gate: bool
     phase: int
     sample: JointState | None
+    lowest: float = -math.inf
 
     __repr__ = one_line
 
@@ -158,7 +162,7 @@ class PhaseExecutor:
             until = phase.track_until
             self._frozen = until is not None and self._holds("track_until", until, view)
         target = self._ramped(self._target, self._steps + 1)
-        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample)
+        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, self._lowest(view))
 
     def _now(self, view: PhaseView) -> Pose:
         """Return where the running phase wants the hand now, at the end of a control step."""
@@ -172,7 +176,12 @@ class PhaseExecutor:
         return evaluate_predicate(self._place, role, predicate, view, self._target)
 
     def _aim(self, view: PhaseView) -> Pose:
-        return evaluate_target(self._place, self.phase.target, view)
+        return raised_to(evaluate_target(self._place, self.phase.target, view), self._lowest(view))
+
+    def _lowest(self, view: PhaseView) -> float:
+        """Return the least height of the end effector in the world, metres."""
+        lowest, name = self.phase.lowest, self.phase.target.object
+        return -math.inf if lowest is None else lowest + float(view.state.objects[name].pose.position[2])
 
     def _view(self, state: SceneState) -> PhaseView:
         return PhaseView(

@@ -13,8 +13,9 @@ Its symbols, and where each of them is computed:
               control step, or the world (`ResidualScale.physical`)
     m         the gate, 1 or 0: whether the running phase lets the residual act (`gated`)
     +         positions and widths add; the rotation vector turns the hand in place (`requested_target`)
-    project   fingers above the table, an opening that the hand has, and of what then remains the nearest joint motion
-              within position, velocity, acceleration and jerk limits (`project`)
+    project   the hand above the table and above what lies below in this phase (`PlannedAction.lowest`), an opening
+              that the hand has, and of what then remains the nearest joint motion within position, velocity,
+              acceleration and jerk limits (`project`)
 """
 
 from __future__ import annotations
@@ -52,11 +53,9 @@ class ResidualScale:
         self.size = len(self._active)
 
     def read(self, action: Array) -> Array:
-        """Return a_res of Eq. 5: what an env is given, within [-1, 1] and in multiples of `RESOLUTION`, shape (size,)."""
-        rounded: Array = (
-            np.round(action.clip(-1.0, 1.0) / RESOLUTION) * RESOLUTION + 0.0
-        )  # no -0.0, which has other bits
-        return rounded
+        """Return a_res of Eq. 5: the action within [-1, 1] and in multiples of `RESOLUTION`, shape (size,)."""
+        rounded: Array = np.round(action.clip(-1.0, 1.0) / RESOLUTION) * RESOLUTION
+        return rounded + 0.0  # no -0.0, whose bits are others
 
     def physical(self, action: Array, executor: PhaseExecutor) -> Array:
         """Return scale * a_res of Eq. 5 in the axes of the world, shape (7,): metres, radians, metres of width.
@@ -118,4 +117,4 @@ def project(requested: HandTarget, planned: PlannedAction, local: LocalPlanner) 
     """
     if planned.sample is not None:
         return local.follow(planned.sample, requested.width)
-    return local.track(requested.within_reach(local.robot))
+    return local.track(requested.within_reach(local.robot, lowest=planned.lowest))

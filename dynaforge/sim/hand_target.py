@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,13 @@ import numpy as np
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec, one_line
 from dynaforge.sim.robot import RobotDescription
 
-LOWEST_EE = 0.012  # metres above the table: the finger tips are 7 mm below the end-effector frame
+TIP, PALM = 0.007, 0.039  # metres: the fingertips are so far below the end-effector frame, the palm so far above it
+CLEARANCE = 0.005  # metres between the hand and the table
+# The hand's lowest points in the end-effector frame, metres: the tips of open fingers, and the edges of the palm.
+HAND_POINTS = np.array(
+    [(x, y, TIP) for x in (-0.01, 0.01) for y in (-0.05, 0.05)]
+    + [(x, y, -PALM) for x in (-0.03, 0.03) for y in (-0.1, 0.1)]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,14 +45,23 @@ class HandTarget:
             rotation = matrix_from_rotvec(residual[3:6]) @ rotation
         return HandTarget(Pose(rotation, self.pose.position + residual[:3]), self.width + float(residual[6]))
 
-    def within_reach(self, robot: RobotDescription) -> HandTarget:
-        """Return the nearest target with the fingers above the table and an opening within the hand's range."""
-        pose = self.pose
-        if pose.position[2] < LOWEST_EE:
-            x, y, _ = pose.position.tolist()
-            pose = Pose(pose.rotation, np.array((x, y, LOWEST_EE)))
+    def within_reach(self, robot: RobotDescription, *, lowest: float = -math.inf) -> HandTarget:
+        """Return the nearest target with the hand above the table and an opening within the hand's range.
+
+        Args:
+            robot: The robot.
+            lowest: Least height of the end effector in the world, metres.
+        """
+        lowest = max(lowest, CLEARANCE - float((HAND_POINTS @ self.pose.rotation[2]).min()))
+        pose = raised_to(self.pose, lowest)
         return HandTarget(pose, min(max(self.width, 0.0), robot.width_max))
 
     def flat(self) -> Array:
         """Return position (m), quaternion (w, x, y, z) and width (m) side by side, shape (8,)."""
         return np.concatenate((self.pose.position, self.pose.quat_wxyz, (self.width,)))
+
+
+def raised_to(pose: Pose, height: float) -> Pose:
+    """Return a pose, moved straight up to a height in the world if it is lower."""
+    x, y, z = pose.position.tolist()
+    return pose if z >= height else Pose(pose.rotation, np.array((x, y, height)))

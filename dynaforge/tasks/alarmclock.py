@@ -9,9 +9,11 @@ import numpy as np
 
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import TIP
 from dynaforge.sim.spec import Drive, FixtureSpec, Placement, SceneSpec, Spring
 from dynaforge.tasks.conditions import ConditionSpace
-from dynaforge.tasks.predicates import Aligned, All, Clicked, Narrowed
+from dynaforge.tasks.phase import REDUCED_SPEED
+from dynaforge.tasks.predicates import Aligned, All, Clicked, Narrowed, Not, Touched
 from dynaforge.tasks.targets import Above, Grip
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
@@ -54,6 +56,13 @@ def launch(condition: Condition) -> Mapping[str, Placement]:
     return {"alarmclock": Placement(Pose(np.eye(3), np.array((v["centre_x"], v["centre_y"], 0.0))), drives)}
 
 
+# When the end effector is `TIP` above the origin of the button, the fingertips are at its top.
+LOW = Aligned("alarmclock", 0.25, height=TIP + 0.008)
+OFF_CENTRE = Not(Aligned("alarmclock", BUTTON_RADIUS))
+# The fingertips are beside the axis of the button and touch it, or are lower than its top and would press on the clock.
+MISSED = All((OFF_CENTRE, Not(All((Not(Touched("alarmclock")), Not(Aligned("alarmclock", 0.25, height=TIP - 0.001)))))))
+
+
 TASK = Task(
     name="alarmclock",
     env_name="AlarmClock",
@@ -92,7 +101,7 @@ TASK = Task(
             Above("alarmclock", HOVER, Grip.KEPT),
             width=0.0,
             gate=True,
-            done=Aligned("alarmclock", 0.03),
+            done=All((Aligned("alarmclock", 0.03), Not(LOW))),
             hold=1 / 30,
             timeout=2.0,
             failure="lost track",
@@ -100,11 +109,14 @@ TASK = Task(
         Phase(
             "press",
             Mode.IK,
-            Above("alarmclock", -CLICK - 0.002, Grip.KEPT),
+            Above("alarmclock", TIP - 0.004, Grip.KEPT),
             width=0.0,
             gate=True,
             done=Clicked("alarmclock", CLICK, BUTTON_RADIUS, CLOSED),
-            timeout=1.0,
+            ramp=REDUCED_SPEED,
+            lowest=TIP - 0.005,
+            retry=("track", MISSED),
+            timeout=2.0,
             failure="missed button",
         ),
     ),

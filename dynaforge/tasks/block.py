@@ -9,9 +9,11 @@ import numpy as np
 
 from dynaforge.geometry import Pose, rotation_z
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import TIP
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, LEVELLED, carried, carrier, levelled
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import (
     Aligned,
     All,
@@ -33,6 +35,9 @@ from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 HALF = 0.0225  # half the edge length of the block, metres
 TOP = 0.024  # height of tray and pad above the table, metres
+# Least height of the end effector above the origin of block and pad, metres: the fingertips stay 5 mm above
+# tray and pad.
+ABOVE_TRAY, ABOVE_PAD = 0.005 + TIP - HALF, 0.005 + TIP
 TRAY_ARM, TRAY_SWING = 0.15, 0.14
 PAD_ARM, PAD_SWING = 0.08, 0.08
 # Tray and pad stay within 22 cm and 13 cm of these points, on either side of the robot, and so never meet.
@@ -143,6 +148,7 @@ TASK = Task(
             gate=True,
             done=Aligned("block", 0.018, height=0.09),
             hold=1 / 30,
+            lowest=ABOVE_TRAY,
             timeout=2.0,
             failure="lost track",
         ),
@@ -153,6 +159,8 @@ TASK = Task(
             width=0.08,
             gate=True,
             done=Aligned("block", 0.02, height=0.012),
+            ramp=REDUCED_SPEED,
+            lowest=ABOVE_TRAY,
             timeout=1.0,
             failure="missed descent",
         ),
@@ -164,6 +172,7 @@ TASK = Task(
             gate=True,
             done=Grasped("block"),
             hold=0.1,
+            lowest=ABOVE_TRAY,
             timeout=0.8,
             failure="missed close",
         ),
@@ -184,6 +193,7 @@ TASK = Task(
             Over("pad", "block", HOVER),
             width=GRIP,
             done=Reached(0.02),
+            lowest=ABOVE_PAD,
             timeout=2.0,
             failure="not carried",
             fails=IN_HAND,
@@ -197,6 +207,7 @@ TASK = Task(
             residual_share=0.5,
             done=Within("block", "pad", 0.018, HOVER + 0.02),
             hold=1 / 30,
+            lowest=ABOVE_PAD,
             timeout=2.0,
             failure="lost pad",
             fails=IN_HAND,
@@ -209,6 +220,8 @@ TASK = Task(
             gate=True,
             residual_share=0.5,
             done=Within("block", "pad", 0.02, RELEASE + 0.004),
+            ramp=REDUCED_SPEED,
+            lowest=ABOVE_PAD,
             timeout=1.0,
             failure="missed pad",
             fails=IN_HAND,
@@ -221,6 +234,7 @@ TASK = Task(
             gate=True,
             residual_share=0.5,
             done=Not(Narrowed(0.065)),
+            lowest=ABOVE_PAD,
             timeout=0.8,
             failure="not released",
         ),
@@ -238,6 +252,7 @@ TASK = Task(
                 )
             ),
             hold=0.25,
+            ramp=REDUCED_SPEED,
             timeout=1.5,
             failure="not on pad",
         ),

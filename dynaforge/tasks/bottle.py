@@ -9,8 +9,10 @@ import numpy as np
 
 from dynaforge.geometry import Array, Pose, rotation_z
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
 from dynaforge.tasks.reach import along_arc, arc_to_disc
 from dynaforge.tasks.targets import Above, DownstreamArc, Raised
@@ -25,6 +27,8 @@ HEIGHT = (WIDE + NARROW) / 2
 TURN = HEIGHT / math.tan(TILT)
 """Radius of the circle on which its origin moves, metres: it rolls like a cone about its tip, which is on the table."""
 REACH = 0.60
+# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
+UNDER_PALM = 2 * WIDE - HEIGHT + 0.003 - PALM
 
 CONDITIONS = ConditionSpace(
     task="bottle",
@@ -116,6 +120,7 @@ TASK = Task(
             width=0.08,
             gate=True,
             done=Aligned("bottle", 0.02, 0.03),
+            lowest=UNDER_PALM,
             timeout=2.5,
             failure="lost track",
         ),
@@ -126,6 +131,8 @@ TASK = Task(
             width=0.08,
             gate=True,
             done=Aligned("bottle", 0.02, 0.03, height=0.012),
+            ramp=REDUCED_SPEED,
+            lowest=UNDER_PALM,
             timeout=1.0,
             failure="missed descent",
             track_until=Touched("bottle"),
@@ -138,6 +145,7 @@ TASK = Task(
             gate=True,
             done=Grasped("bottle"),
             hold=0.1,
+            lowest=UNDER_PALM,
             timeout=0.8,
             failure="missed close",
             track_until=Touched("bottle"),

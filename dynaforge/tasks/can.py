@@ -9,8 +9,10 @@ import numpy as np
 
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
 from dynaforge.tasks.rolling import start_of_roll
 from dynaforge.tasks.targets import Above, Downstream, Raised
@@ -18,6 +20,8 @@ from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.033
 REACH = 0.60
+# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
+UNDER_PALM = RADIUS + 0.003 - PALM
 
 CONDITIONS = ConditionSpace(
     task="can",
@@ -90,6 +94,7 @@ TASK = Task(
             gate=True,
             done=Aligned("can", 0.012, 0.03),
             hold=1 / 30,
+            lowest=UNDER_PALM,
             timeout=2.5,
             failure="lost track",
         ),
@@ -100,6 +105,8 @@ TASK = Task(
             width=0.08,
             gate=True,
             done=Aligned("can", 0.02, 0.03, height=0.012),
+            ramp=REDUCED_SPEED,
+            lowest=UNDER_PALM,
             timeout=1.0,
             failure="missed descent",
             track_until=Touched("can"),
@@ -112,6 +119,7 @@ TASK = Task(
             gate=True,
             done=Grasped("can"),
             hold=0.1,
+            lowest=UNDER_PALM,
             timeout=0.8,
             failure="missed close",
             track_until=Touched("can"),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dynaforge.tasks.phase import Ending, Mode, Phase
+from dynaforge.sim.hand_target import TIP
+from dynaforge.tasks.phase import REDUCED_SPEED, Ending, Mode, Phase
 from dynaforge.tasks.predicates import All, Grasped, Lifted, Predicate, Reached, Released, Within
 from dynaforge.tasks.targets import Above, Grip, Over, Raised
 
@@ -25,7 +26,16 @@ def rack_pick_phases(grasped: str, *, grip: float, precision: float, lift: float
     lifted = All((Lifted(grasped, clear), Grasped(grasped)))
     return (
         Phase("reach", Mode.GLOBAL, above, width=0.04, done=Reached(0.015), timeout=2.0, failure="not reached"),
-        Phase("descend", Mode.IK, around, width=0.04, done=Reached(precision), timeout=1.0, failure="not reached"),
+        Phase(
+            "descend",
+            Mode.IK,
+            around,
+            width=0.04,
+            done=Reached(precision),
+            ramp=REDUCED_SPEED,
+            timeout=1.0,
+            failure="not reached",
+        ),
         Phase(
             "close",
             Mode.IK,
@@ -54,6 +64,7 @@ def insertion_phases(
     hole: str,
     tip: Point,
     *,
+    rim: float,
     heights: tuple[float, float, float],
     precision: float,
     entered: Predicate,
@@ -69,6 +80,7 @@ def insertion_phases(
         grasped: The object.
         hole: What it goes into; its frame is in the middle of its floor.
         tip: The end of the object that goes in first, in the object's frame, metres.
+        rim: Height of the hole's rim above the floor, metres; the fingertips stay 4 mm above it.
         heights: Height of the tip above the floor while it waits, once it has entered, and at the end, metres.
         precision: How near the tip must come to its place above the hole before it goes down, metres.
         entered: The tip is in the mouth of the hole.
@@ -77,27 +89,43 @@ def insertion_phases(
     """
     hover, low, lowest = (Over(hole, grasped, height, tool=tip, upright=True) for height in heights)
     aligned = Within(grasped, hole, precision, heights[0] + precision, tool=tip)
+    above = rim + 0.004 + TIP
     released = All((inside, Released(grasped)))
     return (
-        *_carry_and_align(hole, hover, aligned=aligned, fails=fails),
+        *_carry_and_align(hole, hover, lowest=above, aligned=aligned, fails=fails),
         Phase(
             "enter",
             Mode.IK,
             low,
             width=0.0,
             gate=True,
+            lowest=above,
             done=entered,
+            ramp=REDUCED_SPEED,
             timeout=0.8,
             failure=f"missed {hole}",
             fails=fails,
         ),
-        Phase("insert", Mode.IK, lowest, width=0.0, gate=True, done=inside, timeout=0.8, failure="jammed", fails=fails),
+        Phase(
+            "insert",
+            Mode.IK,
+            lowest,
+            width=0.0,
+            gate=True,
+            lowest=above,
+            done=inside,
+            ramp=REDUCED_SPEED,
+            timeout=0.8,
+            failure="jammed",
+            fails=fails,
+        ),
         Phase(
             "release",
             Mode.IK,
             lowest,
             width=0.08,
             gate=True,
+            lowest=above,
             done=released,
             hold=0.25,
             timeout=1.2,
@@ -106,7 +134,9 @@ def insertion_phases(
     )
 
 
-def _carry_and_align(hole: str, hover: Over, *, aligned: Predicate, fails: tuple[Ending, ...]) -> tuple[Phase, ...]:
+def _carry_and_align(
+    hole: str, hover: Over, *, lowest: float, aligned: Predicate, fails: tuple[Ending, ...]
+) -> tuple[Phase, ...]:
     """Return the phases that carry the grasped object over the hole and follow the hole until the tip is above it."""
     return (
         Phase(
@@ -115,6 +145,7 @@ def _carry_and_align(hole: str, hover: Over, *, aligned: Predicate, fails: tuple
             hover,
             width=0.0,
             takes_hold=True,
+            lowest=lowest,
             done=Reached(0.02),
             timeout=2.0,
             failure="not carried",
@@ -127,6 +158,7 @@ def _carry_and_align(hole: str, hover: Over, *, aligned: Predicate, fails: tuple
             width=0.0,
             gate=True,
             takes_hold=True,
+            lowest=lowest,
             done=aligned,
             hold=1 / 15,
             timeout=1.5,

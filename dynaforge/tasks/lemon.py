@@ -11,6 +11,7 @@ from dynaforge.geometry import Pose, rotation_z
 from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import All, Around, Fallen, Grasped, Narrowed, Not, OnTable, Reached, Touched
 from dynaforge.tasks.targets import Catching
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
@@ -131,6 +132,7 @@ TASK = Task(
             width=0.0,
             done=CAUGHT,
             hold=0.5,
+            ramp=REDUCED_SPEED,
             timeout=0.8,
             failure="slipped",
             track_until=Touched("lemon"),

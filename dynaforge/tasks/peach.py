@@ -8,9 +8,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import PALM, TIP
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import (
     Aligned,
     All,
@@ -34,6 +36,10 @@ from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.031
 REACH = 0.64
+# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
+UNDER_PALM = RADIUS + 0.003 - PALM
+# Above the bowl's: the fingertips stay 4 mm above its rim, which is 22 mm high.
+ABOVE_RIM = 0.022 + 0.004 + TIP
 ARM, SWING = 0.08, 0.08  # arm and amplitude of the bowl's carrier, metres
 # The bowl stays within 14 cm of this point, and the peach's line outside: only the hand brings them together.
 BOWL_X, BOWL_Y = 0.35, 0.14
@@ -132,6 +138,7 @@ TASK = Task(
             gate=True,
             done=Aligned("peach", 0.015, 0.03),
             hold=1 / 30,
+            lowest=UNDER_PALM,
             timeout=2.0,
             failure="lost track",
         ),
@@ -142,6 +149,8 @@ TASK = Task(
             width=0.08,
             gate=True,
             done=Aligned("peach", 0.02, 0.03, height=0.012),
+            ramp=REDUCED_SPEED,
+            lowest=UNDER_PALM,
             timeout=1.0,
             failure="missed descent",
             track_until=Touched("peach"),
@@ -154,6 +163,7 @@ TASK = Task(
             gate=True,
             done=Grasped("peach"),
             hold=0.1,
+            lowest=UNDER_PALM,
             timeout=0.8,
             failure="missed close",
             track_until=Touched("peach"),
@@ -175,6 +185,7 @@ TASK = Task(
             Over("bowl", "peach", HOVER),
             width=GRIP,
             done=Reached(0.02),
+            lowest=ABOVE_RIM,
             timeout=2.0,
             failure="not carried",
             fails=IN_HAND,
@@ -188,6 +199,7 @@ TASK = Task(
             residual_share=0.4,
             done=Within("peach", "bowl", 0.02, HOVER + 0.02),
             hold=1 / 30,
+            lowest=ABOVE_RIM,
             timeout=2.0,
             failure="lost bowl",
             fails=IN_HAND,
@@ -200,6 +212,8 @@ TASK = Task(
             gate=True,
             residual_share=0.4,
             done=Within("peach", "bowl", 0.022, RELEASE + 0.006),
+            ramp=REDUCED_SPEED,
+            lowest=ABOVE_RIM,
             timeout=1.0,
             failure="missed bowl",
             fails=IN_HAND,
@@ -212,6 +226,7 @@ TASK = Task(
             gate=True,
             residual_share=0.4,
             done=Not(Narrowed(0.068)),
+            lowest=ABOVE_RIM,
             timeout=0.8,
             failure="not released",
         ),
@@ -222,6 +237,7 @@ TASK = Task(
             width=0.08,
             done=All((IN_BOWL, Released("peach"), AtRestOn("peach", "bowl", 0.05))),
             hold=0.25,
+            ramp=REDUCED_SPEED,
             timeout=1.5,
             failure="not in bowl",
         ),

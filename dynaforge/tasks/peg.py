@@ -111,6 +111,7 @@ TASK = Task(
             "peg",
             "hole",
             TIP,
+            rim=DEPTH,
             heights=(HOVER, ENTERED, INSERTED),
             precision=0.008,
             entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP),

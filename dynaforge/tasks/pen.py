@@ -119,6 +119,7 @@ TASK = Task(
             "pen",
             "holder",
             TIP,
+            rim=DEPTH,
             heights=(HOVER, ENTERED, INSERTED),
             precision=0.012,
             entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP),

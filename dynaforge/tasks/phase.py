@@ -12,6 +12,9 @@ from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.predicates.logic import PREDICATE_EXAMPLE
 from dynaforge.tasks.targets import Target
 
+# m/s: ISO 10218-1's reduced speed. At this speed the arm, about 3 kg at the hand, strikes a stiffness of 12 kN/m with
+# about 50 N, half the force at which the robot stops in contact work.
+REDUCED_SPEED = 0.25
 Ending = tuple[str, Predicate]
 Retry = tuple[str, Predicate]
 
@@ -43,6 +46,9 @@ class Phase:
             jumps. Eq. 3 has no ramp; it is our deviation, because a jump of the target in height slows the chase of a
             moving object (all joints arrive together), and because the speed bounds how hard the hand strikes what
             lies below.
+        lowest: Least height of the end effector above the origin of the target's object, metres, whatever target and
+            residual ask for; what lies below (the object under the palm, 39 mm above the end effector; the pad under
+            the fingertips, 7 mm below it) is thus never pressed by command. None: only the table bounds it.
         track_until: Once this holds, the target freezes, so that the hand does not chase what it pushes.
         takes_hold: Whether the pose of the grasped object in the hand is measured at the end of the phase, as the tool
             frame of later targets.
@@ -68,6 +74,7 @@ class Phase:
     gate: bool = False
     hold: float = 0.0
     ramp: float | None = None
+    lowest: float | None = None
     track_until: Predicate | None = None
     takes_hold: bool = False
     residual_share: float = 1.0
@@ -97,6 +104,8 @@ class Phase:
             check_callable(f"{place}: track_until", self.track_until, expected=PREDICATE_EXAMPLE)
         if self.ramp is not None:
             check_number(f"{place}: ramp", self.ramp, above=0.0)
+        if self.lowest is not None:
+            check_number(f"{place}: lowest", self.lowest)
         if self.retry is not None:
             _check_retry(f"{place}: retry", self.retry)
             object.__setattr__(self, "retry", tuple(self.retry))

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynaforge.sim import Condition
+from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
+from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached
 from dynaforge.tasks.rolling import start_of_roll
 from dynaforge.tasks.targets import Above, Downstream, Grip, Raised
@@ -19,6 +21,8 @@ HEIGHT = 0.026
 WHEEL_RADIUS = 0.016
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 REACH = 0.60
+# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
+UNDER_PALM = 0.0285 + 0.003 - PALM
 HOVER = 0.06
 OPEN = 0.072
 """Opening of the fingers around the body of 56 mm, metres: as much room as a can has in a fully open hand."""
@@ -95,6 +99,7 @@ TASK = Task(
             width=OPEN,
             gate=True,
             done=Aligned("toycar", 0.042, 0.008),
+            lowest=UNDER_PALM,
             timeout=2.0,
             failure="lost track",
         ),
@@ -105,6 +110,8 @@ TASK = Task(
             width=OPEN,
             gate=True,
             done=Aligned("toycar", 0.050, 0.010, height=0.012),
+            ramp=REDUCED_SPEED,
+            lowest=UNDER_PALM,
             timeout=1.0,
             failure="missed descent",
             track_until=Grasped("toycar"),
@@ -117,6 +124,7 @@ TASK = Task(
             gate=True,
             done=Grasped("toycar"),
             hold=0.1,
+            lowest=UNDER_PALM,
             timeout=0.8,
             failure="missed close",
             track_until=Grasped("toycar"),

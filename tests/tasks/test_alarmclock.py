@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 from hand_made import view
 
 from dynaforge.envs.residual_env import ResidualEnv
+from dynaforge.envs.world import ControlStep
 from dynaforge.geometry import Pose
 from dynaforge.sim import BodyState, Condition, SceneState, SimScene
 from dynaforge.tasks.alarmclock import BUTTON_RADIUS, CLICK, CONDITIONS, TASK, launch
@@ -97,6 +99,30 @@ def test_an_off_centre_press_does_not_click_in_physics() -> None:
         outcomes.append((info["is_success"], info["failure"]))
     env.close()
     assert outcomes == [(True, ""), (False, "missed button")]
+
+
+def test_a_missed_click_is_tried_again_from_above() -> None:
+    """Beside the button the program goes back, and the hand comes up before it presses again."""
+    env = ResidualEnv(replace(TASK, residual=replace(TASK.residual, translation=(0.016, 0.0, 0.0))))
+    heights: dict[int, list[float]] = {1: [], 2: []}
+    phases = []
+
+    def look(step: ControlStep) -> None:
+        assert step.planned is not None
+        phases.append(step.planned.phase)
+        if phases.count(2) and step.planned.phase:
+            height = step.after.ee.position[2] - step.after.objects["alarmclock"].pose.position[2]
+            heights[step.planned.phase].append(float(height))
+
+    with env.world.listening(look):
+        env.reset(options={"condition": easy()})
+        done = False
+        while not done:
+            _, _, done, _, info = env.step(np.ones(1, np.float32))
+    env.close()
+    assert sum(after < before for before, after in itertools.pairwise(phases)) >= 2, "it goes back twice or more"
+    assert max(heights[1]) > 0.02
+    assert info["checkpoint"] == 2, "no checkpoint is lost, and none is earned twice"
 
 
 def easy() -> Condition:

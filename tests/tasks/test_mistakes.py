@@ -124,6 +124,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     ),
     "retry of no pair": (lambda: track(retry="pregrasp"), ("Phase 'track': retry is 'pregrasp'; it must be a pair",)),
     "ramp": (lambda: track(ramp=-0.1), ("Phase 'track': ramp is -0.1; it must be",)),
+    "lowest": (lambda: track(lowest=NAN), ("Phase 'track': lowest is nan; it must be",)),
     "ramp of a plan": (lambda: reach(ramp=0.1), ("ramp has no effect in Mode.GLOBAL",)),
     "fails": (lambda: track(fails=(("dropped", Fallen("cann")),)), ("Phase 'track'", "in fails", SEEN)),
     "impossible": (lambda: can(impossible=(("dropped", Fallen("cann")),)), ("Task", "in impossible", SEEN)),
