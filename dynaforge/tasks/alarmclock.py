@@ -13,7 +13,7 @@ from dynaforge.sim.hand_target import TIP
 from dynaforge.sim.spec import Drive, FixtureSpec, Placement, SceneSpec, Spring
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import Aligned, All, Clicked, Narrowed, Not, Touched
+from dynaforge.tasks.predicates import Aligned, All, Clicked, Narrowed, Not
 from dynaforge.tasks.targets import Above, Grip
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
@@ -58,9 +58,8 @@ def launch(condition: Condition) -> Mapping[str, Placement]:
 
 # When the end effector is `TIP` above the origin of the button, the fingertips are at its top.
 LOW = Aligned("alarmclock", 0.25, height=TIP + 0.008)
-OFF_CENTRE = Not(Aligned("alarmclock", BUTTON_RADIUS))
-# The fingertips are beside the axis of the button and touch it, or are lower than its top and would press on the clock.
-MISSED = All((OFF_CENTRE, Not(All((Not(Touched("alarmclock")), Not(Aligned("alarmclock", 0.25, height=TIP - 0.001)))))))
+# The fingertips are beside the button and lower than its top: they would press on the clock.
+MISSED = All((Aligned("alarmclock", 0.25, height=TIP - 0.001), Not(Aligned("alarmclock", BUTTON_RADIUS))))
 
 
 TASK = Task(

@@ -89,7 +89,7 @@ def test_a_near_miss_does_not_count(state: SceneState) -> None:
 
 def test_an_off_centre_press_does_not_click_in_physics() -> None:
     """The hand comes down beside the button of a clock that all but stands still, and misses it."""
-    env = ResidualEnv(replace(TASK, residual=replace(TASK.residual, translation=(0.016, 0.0, 0.0))))
+    env = ResidualEnv(replace(TASK, residual=replace(TASK.residual, translation=(0.024, 0.0, 0.0))))
     outcomes = []
     for beside in (0.0, 1.0):
         env.reset(options={"condition": easy()})
@@ -103,7 +103,7 @@ def test_an_off_centre_press_does_not_click_in_physics() -> None:
 
 def test_a_missed_click_is_tried_again_from_above() -> None:
     """Beside the button the program goes back, and the hand comes up before it presses again."""
-    env = ResidualEnv(replace(TASK, residual=replace(TASK.residual, translation=(0.016, 0.0, 0.0))))
+    env = ResidualEnv(replace(TASK, residual=replace(TASK.residual, translation=(0.028, 0.0, 0.0))))
     heights: dict[int, list[float]] = {1: [], 2: []}
     phases = []
 
