@@ -13,14 +13,16 @@ from dynaforge.sim.hand_target import TIP
 from dynaforge.sim.spec import Drive, FixtureSpec, Placement, SceneSpec, Spring
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import Aligned, All, Clicked, Narrowed, Not
-from dynaforge.tasks.targets import Above, Grip
+from dynaforge.tasks.predicates import Aligned, All, Clicked, Gently, Narrowed, Not, Struck
+from dynaforge.tasks.targets import Above, Grip, Pressing
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 BUTTON_RADIUS = 0.008
 CLICK = 0.005  # how far the button, which has 8 mm of travel, must be pressed in, metres
 CLOSED = 0.005  # largest opening of a closed hand, metres
 HOVER = 0.05
+OFF_CENTRE = 0.005  # so near its axis the fingertips, 20 mm wide, cover the middle of the button, metres
+LIMIT = 30.0  # newtons, six times the force of the spring: a firm press, where a blow has hundreds
 
 CONDITIONS = ConditionSpace(
     task="alarmclock",
@@ -60,7 +62,7 @@ def launch(condition: Condition) -> Mapping[str, Placement]:
 LOW = Aligned("alarmclock", 0.25, height=TIP + 0.008)
 # The fingertips are beside the button and lower than its top: they would press on the clock.
 MISSED = All((Aligned("alarmclock", 0.25, height=TIP - 0.001), Not(Aligned("alarmclock", BUTTON_RADIUS))))
-
+PRESSED = All((Clicked("alarmclock", CLICK, OFF_CENTRE), Gently("alarmclock", LIMIT), Not(Struck("alarmclock"))))
 
 TASK = Task(
     name="alarmclock",
@@ -68,7 +70,7 @@ TASK = Task(
     skill="click",
     motion="An alarm clock rides on a turntable; its button moves on a circle at 0.05 to 0.5 m/s.",
     randomisation="Speed, radius 8 to 12 cm, direction of rotation, initial angle, place of the turntable.",
-    goal="The closed fingertips press the button in by 5 mm, with their axis within its radius of 8 mm.",
+    goal="Closed fingertips press the button in by 5 mm, within 5 mm of its middle, with at most 30 N, for two steps.",
     instruction="press the button of the moving alarm clock",
     scene=SceneSpec(
         bodies=(),
@@ -108,10 +110,11 @@ TASK = Task(
         Phase(
             "press",
             Mode.IK,
-            Above("alarmclock", TIP - 0.004, Grip.KEPT),
+            Pressing("alarmclock", TIP - CLICK - 0.0005),
             width=0.0,
             gate=True,
-            done=Clicked("alarmclock", CLICK, BUTTON_RADIUS, CLOSED),
+            done=PRESSED,
+            hold=1 / 30,
             ramp=REDUCED_SPEED,
             lowest=TIP - 0.005,
             retry=("track", MISSED),

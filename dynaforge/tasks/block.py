@@ -20,6 +20,7 @@ from dynaforge.tasks.predicates import (
     Around,
     AtRestOn,
     Fallen,
+    FootOn,
     Grasped,
     Lifted,
     Narrowed,
@@ -27,6 +28,7 @@ from dynaforge.tasks.predicates import (
     OnTable,
     Reached,
     Released,
+    SupportedBy,
     Upright,
     Within,
 )
@@ -34,6 +36,7 @@ from dynaforge.tasks.targets import Above, Grip, Over, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 HALF = 0.0225  # half the edge length of the block, metres
+PAD = 0.045  # half the edge length of the pad, twice that of the block, metres
 TOP = 0.024  # height of tray and pad above the table, metres
 # Least height of the end effector above the origin of block and pad, metres: the fingertips stay 5 mm above
 # tray and pad.
@@ -117,7 +120,7 @@ TASK = Task(
     skill="grasp + place",
     motion="A block rides on a tray that slides back and forth or circles at 0.05 to 0.4 m/s; the pad moves alike.",
     randomisation="Kind, speed, phase and direction of both motions, side, the block's place on the tray, its mass.",
-    goal="The block stands on the pad within 25 mm of its centre, released and at rest relative to it, for 0.25 s.",
+    goal="The block stands on the pad with its whole foot, any face up, released and at rest on it, for 0.25 s.",
     instruction="pick up the block from the moving tray and place it on the moving pad",
     scene=SceneSpec(
         # Painted wood. At 0.8 a block that is askew between the fingers jams instead of turning flat against them.
@@ -245,10 +248,12 @@ TASK = Task(
             width=0.08,
             done=All(
                 (
-                    Within("block", "pad", 0.025, HALF + 0.005),
-                    Upright("block", 0.1),
+                    FootOn("block", "pad", HALF, PAD),
+                    Within("block", "pad", PAD, HALF + 0.005, floor=HALF - 0.005),
+                    Upright("block", 0.1, any_face=True),
+                    SupportedBy("block", "pad"),
                     Released("block"),
-                    AtRestOn("block", "pad", 0.05),
+                    AtRestOn("block", "pad", 0.05, spin=1.0),
                 )
             ),
             hold=0.25,

@@ -13,7 +13,7 @@ from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
+from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Gripped, Lifted, Near, Reached, Touched
 from dynaforge.tasks.reach import along_arc, arc_to_disc
 from dynaforge.tasks.targets import Above, DownstreamArc, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
@@ -98,7 +98,7 @@ TASK = Task(
     skill="grasp",
     motion="A tapered bottle is launched rolling along a curve at 0.05 to 1.2 m/s; from then on only physics moves it.",
     randomisation="Speed, side, heading within 20 degrees, circle, launch distance, mass 0.15 to 0.4 kg, roll angle.",
-    goal="The bottle is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    goal="The bottle is lifted 10 cm, gripped by both fingers, for 0.25 s.",
     instruction="pick up the rolling bottle",
     scene=SceneSpec(bodies=(BodySpec("bottle", "bottle/bottle.urdf"),), launch=launch),
     conditions=CONDITIONS,
@@ -155,7 +155,7 @@ TASK = Task(
             Mode.GLOBAL,
             Raised("bottle", 0.15),
             width=0.0,
-            done=All((Lifted("bottle", 0.10), Grasped("bottle"))),
+            done=All((Lifted("bottle", 0.10), Gripped("bottle"))),
             hold=0.25,
             timeout=2.5,
             failure="slipped",

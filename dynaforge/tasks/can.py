@@ -13,7 +13,7 @@ from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached, Touched
+from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Gripped, Lifted, Near, Reached, Touched
 from dynaforge.tasks.rolling import start_of_roll
 from dynaforge.tasks.targets import Above, Downstream, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
@@ -72,7 +72,7 @@ TASK = Task(
     skill="grasp",
     motion="A can is launched rolling without slip at 0.05 to 1.5 m/s; from then on only physics moves it.",
     randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.4 kg, roll angle.",
-    goal="The can is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    goal="The can is lifted 10 cm, gripped by both fingers, for 0.25 s.",
     instruction="pick up the rolling can",
     scene=SceneSpec(bodies=(BodySpec("can", "can/can.urdf"),), launch=launch),
     conditions=CONDITIONS,
@@ -129,7 +129,7 @@ TASK = Task(
             Mode.GLOBAL,
             Raised("can", 0.15),
             width=0.0,
-            done=All((Lifted("can", 0.10), Grasped("can"))),
+            done=All((Lifted("can", 0.10), Gripped("can"))),
             hold=0.25,
             timeout=2.5,
             failure="slipped",

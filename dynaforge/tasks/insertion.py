@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dynaforge.sim.hand_target import TIP
 from dynaforge.tasks.phase import REDUCED_SPEED, Ending, Mode, Phase
-from dynaforge.tasks.predicates import All, Grasped, Lifted, Predicate, Reached, Released, Within
+from dynaforge.tasks.predicates import All, Grasped, Lifted, Predicate, Reached, Within
 from dynaforge.tasks.targets import Above, Grip, Over, Raised
 
 Point = tuple[float, float, float]
@@ -69,6 +69,7 @@ def insertion_phases(
     precision: float,
     entered: Predicate,
     inside: Predicate,
+    released: Predicate,
     fails: tuple[Ending, ...],
 ) -> tuple[Phase, ...]:
     """Return the phases that carry an object over a moving hole, follow it, put the tip in, go down and let go.
@@ -85,12 +86,12 @@ def insertion_phases(
         precision: How near the tip must come to its place above the hole before it goes down, metres.
         entered: The tip is in the mouth of the hole.
         inside: The object is where it belongs.
+        released: It stays there by itself, and the hand that let go is still around it.
         fails: The ways in which the hand may lose the object.
     """
     hover, low, lowest = (Over(hole, grasped, height, tool=tip, upright=True) for height in heights)
     aligned = Within(grasped, hole, precision, heights[0] + precision, tool=tip)
     above = rim + 0.004 + TIP
-    released = All((inside, Released(grasped)))
     return (
         *_carry_and_align(hole, hover, lowest=above, aligned=aligned, fails=fails),
         Phase(

@@ -12,7 +12,19 @@ from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import All, Around, Fallen, Grasped, Narrowed, Not, OnTable, Reached, Touched
+from dynaforge.tasks.predicates import (
+    All,
+    Around,
+    Fallen,
+    Grasped,
+    Gripped,
+    Narrowed,
+    Not,
+    OnTable,
+    Reached,
+    SupportedBy,
+    Touched,
+)
 from dynaforge.tasks.targets import Catching
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
@@ -78,6 +90,7 @@ CATCH = Catching("lemon", "ledge", ahead=0.05, height=0.005, pitch=math.radians(
 BACKED_OFF = Catching("lemon", "ledge", ahead=0.10, height=0.005, pitch=math.radians(30.0))
 # Below 45 mm the fingers pinch only the lemon's near end, and it would slip out if the edge did not wedge it in.
 CAUGHT = All((Grasped("lemon"), Around("lemon", 0.025), Narrowed(0.065), Not(Narrowed(0.045))))
+HELD = All((CAUGHT, Gripped("lemon"), Not(SupportedBy("lemon", "ledge"))))
 
 TASK = Task(
     name="lemon",
@@ -85,7 +98,7 @@ TASK = Task(
     skill="catch",
     motion="A lemon rolls down a ramp and off a ledge 0.3 m high, at 0.3 to 1.5 m/s at the edge.",
     randomisation="Speed, lateral offset within 3 cm, place, height and yaw of the ledge, mass 60 to 150 g.",
-    goal="The lemon is between the closed fingers for 0.5 s, and has touched neither table nor floor before.",
+    goal="The lemon is gripped clear of the ledge for 0.5 s, and has touched neither table nor floor before.",
     instruction="catch the falling lemon",
     scene=SceneSpec(
         bodies=(BodySpec("lemon", "lemon/lemon.urdf"),),
@@ -130,7 +143,7 @@ TASK = Task(
             Mode.IK,
             BACKED_OFF,
             width=0.0,
-            done=CAUGHT,
+            done=HELD,
             hold=0.5,
             ramp=REDUCED_SPEED,
             timeout=0.8,

@@ -27,6 +27,7 @@ from dynaforge.tasks.predicates import (
     Not,
     Reached,
     Released,
+    SupportedBy,
     Touched,
     Within,
 )
@@ -100,7 +101,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 IN_HAND = (("dropped", Not(Around("peach", 0.05))),)
 # On the bowl's floor the centre of the peach is RADIUS high, and the wall keeps it within 17 mm of the axis; on the
 # rim it is higher.
-IN_BOWL = Within("peach", "bowl", 0.022, RADIUS + 0.005)
+IN_BOWL = All((Within("peach", "bowl", 0.022, RADIUS + 0.005, floor=RADIUS - 0.005), SupportedBy("peach", "bowl")))
 HOVER, RELEASE = RADIUS + 0.045, RADIUS + 0.010
 GRIP = 0.05  # commanded width while the peach is grasped: firm on 62 mm, and quick to open again
 
@@ -110,7 +111,7 @@ TASK = Task(
     skill="grasp + place",
     motion="A peach is launched rolling at 0.05 to 0.8 m/s; a bowl slides back and forth or turns at up to 0.25 m/s.",
     randomisation="Speed, side, heading, line, launch distance, mass; the bowl's kind of motion, speed, phase and yaw.",
-    goal="The peach lies in the bowl, released and at rest relative to it, for 0.25 s.",
+    goal="The peach lies in the bowl, released and neither moving nor turning relative to it, for 0.25 s.",
     instruction="pick up the rolling peach and put it into the moving bowl",
     scene=SceneSpec(
         bodies=(BodySpec("peach", "peach/peach.urdf"),),
@@ -235,7 +236,7 @@ TASK = Task(
             Mode.IK,
             Raised("peach", 0.06),
             width=0.08,
-            done=All((IN_BOWL, Released("peach"), AtRestOn("peach", "bowl", 0.05))),
+            done=All((IN_BOWL, Released("peach"), AtRestOn("peach", "bowl", 0.05, spin=4.0))),
             hold=0.25,
             ramp=REDUCED_SPEED,
             timeout=1.5,

@@ -20,6 +20,8 @@ from dynaforge.tasks.predicates import (
     Fallen,
     Not,
     OnTable,
+    Released,
+    SupportedBy,
     Upright,
     Within,
 )
@@ -82,10 +84,12 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 
 # So deep inside, the wall keeps the peg's lower end near the axis; a peg that lies below the hole is not upright.
-INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, tool=TIP), Upright("peg", 0.3)))
+INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, floor=-0.005, tool=TIP), Upright("peg", 0.3)))
 IN_HAND = (("slipped", Not(Around("peg", GRIP + 0.02))), ("slipped", Not(Upright("peg", 0.5))))
 # Heights of the lower end above the hole's floor, metres.
 HOVER, ENTERED, INSERTED = DEPTH + 0.010, DEPTH - 0.010, 0.25 * DEPTH
+# The hand lets go with the tip at INSERTED and stays: dropped in from above the mouth, it would be farther away.
+RELEASED = All((INSIDE, SupportedBy("peg", "hole"), Released("peg"), Around("peg", GRIP + INSERTED + 0.02)))
 
 TASK = Task(
     name="peg",
@@ -93,7 +97,7 @@ TASK = Task(
     skill="grasp + insert",
     motion="A hole on a rotating arm moves at 0.01 to 0.15 m/s; the peg rests in a rack.",
     randomisation="The hole's speed, direction of rotation, start, place, clearance; the rack's place; the peg's mass.",
-    goal="The peg is at 60 % of the hole's depth or more, and is released, for 0.25 s.",
+    goal="The peg stands at 60 % of the depth or more, let go by a hand that is still around it, for 0.25 s.",
     instruction="insert the peg into the moving hole",
     scene=SceneSpec(
         bodies=(BodySpec("peg", "peg/peg.urdf", lateral_friction=0.5),),
@@ -116,6 +120,7 @@ TASK = Task(
             precision=0.008,
             entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP),
             inside=INSIDE,
+            released=RELEASED,
             fails=IN_HAND,
         ),
     ),

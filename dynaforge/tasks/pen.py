@@ -20,6 +20,8 @@ from dynaforge.tasks.predicates import (
     Fallen,
     Not,
     OnTable,
+    Released,
+    SupportedBy,
     Upright,
     Within,
 )
@@ -86,7 +88,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
 
 
 # So deep inside, the wall keeps the pen's tip near the axis; a pen that lies below the holder is not upright.
-INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, tool=TIP), Upright("pen", 0.5)))
+INSIDE = All((Within("pen", "holder", 0.02, 0.4 * DEPTH, floor=-0.005, tool=TIP), Upright("pen", 0.5)))
 IN_HAND = (
     ("slipped", Not(Around("pen", GRIP + 0.02))),
     ("slipped", Not(Upright("pen", 0.5))),
@@ -94,6 +96,8 @@ IN_HAND = (
 )
 # Heights of the tip above the holder's floor, metres.
 HOVER, ENTERED, INSERTED = DEPTH + 0.015, DEPTH - 0.02, 0.25 * DEPTH
+# The hand lets go with the tip at INSERTED and stays: dropped in from above the mouth, it would be farther away.
+RELEASED = All((INSIDE, SupportedBy("pen", "holder"), Released("pen"), Around("pen", GRIP + INSERTED + 0.02)))
 
 TASK = Task(
     name="pen",
@@ -101,7 +105,7 @@ TASK = Task(
     skill="insert",
     motion="A pen holder slides back and forth or turns at a peak speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
     randomisation="The holder's speed, kind of motion, phase, direction, place, width; the rack's place; the mass.",
-    goal="The pen's tip is at 60 % of the holder's depth or more, and the pen is released, for 0.25 s.",
+    goal="The pen's tip is at 60 % of the depth or more, let go by a hand that is still around it, for 0.25 s.",
     instruction="put the pen into the moving pen holder",
     scene=SceneSpec(
         bodies=(BodySpec("pen", "pen/pen.urdf", lateral_friction=0.4),),
@@ -124,6 +128,7 @@ TASK = Task(
             precision=0.012,
             entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP),
             inside=INSIDE,
+            released=RELEASED,
             fails=IN_HAND,
         ),
     ),

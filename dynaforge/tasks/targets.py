@@ -21,6 +21,7 @@ __all__ = [
     "DownstreamArc",
     "Grip",
     "Over",
+    "Pressing",
     "Raised",
     "Target",
 ]
@@ -98,6 +99,26 @@ class Above:
         frame = view.frames[self.object]
         position = predicted_position(view, self.object) + (0.0, 0.0, self.height)
         return Pose(hand_rotation(view, frame, self.object, self.grip), position)
+
+
+@dataclass(frozen=True, slots=True)
+class Pressing:
+    """The hand presses a button: straight above it, the end effector at a height that does not sink with the button.
+
+    A target that sinks with the button would go down to the stop and press on what carries it.
+
+    Attributes:
+        object: The fixture with the button and its spring.
+        height: Height of the end effector above the button's origin while nothing presses it, metres.
+        grip: How the fingers are turned.
+    """
+
+    object: ObjectName
+    height: float
+    grip: Grip = Grip.KEPT
+
+    def __call__(self, view: PhaseView) -> Pose:
+        return Above(self.object, self.height + view.state.pressed[self.object], self.grip)(view)
 
 
 @dataclass(frozen=True, slots=True)

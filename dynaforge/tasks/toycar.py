@@ -11,7 +11,7 @@ from dynaforge.sim.hand_target import PALM
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
-from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Lifted, Near, Reached
+from dynaforge.tasks.predicates import Aligned, All, Departed, Fallen, Grasped, Gripped, Lifted, Near, Reached
 from dynaforge.tasks.rolling import start_of_roll
 from dynaforge.tasks.targets import Above, Downstream, Grip, Raised
 from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
@@ -74,7 +74,7 @@ TASK = Task(
     skill="grasp",
     motion="A toy car is launched at 0.05 to 1.0 m/s with its wheels rolling; from then on only physics moves it.",
     randomisation="Speed, side, heading within 20 degrees, line, launch distance, mass 0.1 to 0.3 kg.",
-    goal="The car is lifted 10 cm with both fingers touching it, for 0.25 s.",
+    goal="The car is lifted 10 cm, gripped by both fingers, for 0.25 s.",
     instruction="pick up the moving toy car",
     scene=SceneSpec(
         bodies=(BodySpec("toycar", "toycar/toycar.urdf", rolling_friction=ROLLING_FRICTION),), launch=launch
@@ -134,7 +134,7 @@ TASK = Task(
             Mode.GLOBAL,
             Raised("toycar", 0.15),
             width=0.0,
-            done=All((Lifted("toycar", 0.10), Grasped("toycar"))),
+            done=All((Lifted("toycar", 0.10), Gripped("toycar"))),
             hold=0.25,
             timeout=2.5,
             failure="slipped",

@@ -13,6 +13,7 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import JointState, JointTrajectory, Pose
 from dynaforge.planning import JointReference, PlanFailure
 from dynaforge.sim import BodyState, SceneState
+from dynaforge.sim.contacts import Contacts, Press
 from dynaforge.tasks import Mode, Outcome, Phase, Task, get_task
 from dynaforge.tasks.predicates import Fallen, Grasped, Lifted, Not, Reached, Touched
 from dynaforge.tasks.targets import DOWN_ALONG_X, Above
@@ -36,6 +37,7 @@ def scene(x: float = 0.5, z: float = 0.033, *, touching: tuple[bool, bool] = (Fa
         objects={"can": body},
         touching={"can": touching},
         on_table={"can": True},
+        contacts=Contacts(fingers={"can": tuple(Press(20.0, 20.0) if finger else Press() for finger in touching)}),
     )
 
 

@@ -8,10 +8,26 @@ import numpy as np
 
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim import BodyState, SceneState
+from dynaforge.sim.contacts import Contacts, Press
 from dynaforge.tasks.targets import DOWN_ALONG_X, DOWN_ALONG_Y
 from dynaforge.tasks.view import PhaseView, heading_frames
 
 Point = tuple[float, float, float]
+FIRM = Press(20.0, 20.0)
+
+
+def contacts(
+    touching: Mapping[str, tuple[bool, bool]],
+    supports: tuple[tuple[str, str], ...] = (),
+    *,
+    press: Press = FIRM,
+    **more: Mapping[str, float],
+) -> Contacts:
+    """Fingers that press firmly, toward each other, on what they touch, and bodies carried by others with 1 N."""
+    fingers = {
+        name: (press if left else Press(), press if right else Press()) for name, (left, right) in touching.items()
+    }
+    return Contacts(fingers=fingers, supports=dict.fromkeys(supports, 1.0), **more)
 
 
 def scene(
@@ -33,6 +49,7 @@ def scene(
         objects={"can": body},
         touching={"can": touching},
         on_table={"can": can[2] < 0.04},
+        contacts=contacts({"can": touching}),
     )
 
 
@@ -67,6 +84,7 @@ def scene_of(
         touching=dict.fromkeys(objects, (False, False)) | dict(touching or {}),
         on_table=dict.fromkeys(objects, False) | dict(on_table or {}),
         pressed=dict(pressed or {}),
+        contacts=contacts(touching or {}),
     )
 
 

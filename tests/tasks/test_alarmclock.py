@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import view
+from hand_made import contacts, view
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import ControlStep
 from dynaforge.geometry import Pose
 from dynaforge.sim import BodyState, Condition, SceneState, SimScene
-from dynaforge.tasks.alarmclock import BUTTON_RADIUS, CLICK, CONDITIONS, TASK, launch
+from dynaforge.sim.contacts import Press
+from dynaforge.tasks.alarmclock import CLICK, CONDITIONS, OFF_CENTRE, TASK, launch
 from dynaforge.tasks.targets import DOWN_ALONG_Y
 
 BUTTON_HEIGHT = 0.120  # of its top face above the table, metres
@@ -64,20 +65,21 @@ def pressed(
         objects={"alarmclock": BodyState(Pose(np.eye(3), top), np.zeros(3), np.zeros(3))},
         touching={"alarmclock": touching},
         on_table={},
+        contacts=contacts({"alarmclock": touching}, press=Press(3.0)),
         pressed={"alarmclock": by},
     )
 
 
 @pytest.mark.parametrize("touching", [(True, True), (True, False), (False, True)])
 def test_a_press_in_the_middle_past_the_click_point_counts(touching: tuple[bool, bool]) -> None:
-    assert SUCCESS(view(pressed(CLICK, BUTTON_RADIUS - 1e-9, touching=touching)), Pose.identity())
+    assert SUCCESS(view(pressed(CLICK, OFF_CENTRE - 1e-9, touching=touching)), Pose.identity())
 
 
 @pytest.mark.parametrize(
     "state",
     [
         pytest.param(pressed(CLICK - 1e-4), id="not pressed far enough"),
-        pytest.param(pressed(off=BUTTON_RADIUS + 1e-3), id="pressed off-centre"),
+        pytest.param(pressed(off=OFF_CENTRE + 1e-3), id="pressed off-centre"),
         pytest.param(pressed(by=0.0, off=0.009), id="knocked from the side"),
         pytest.param(pressed(width=0.02), id="pressed with open fingers"),
         pytest.param(pressed(touching=(False, False)), id="pressed by something else"),

@@ -7,6 +7,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from hand_made import contacts
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Array, Pose, rotation_z
@@ -64,7 +65,7 @@ class Insertion:
             time=0.0,
             q=np.zeros(7),
             dq=np.zeros(7),
-            ee=Pose(DOWN_ALONG_X, FLOOR + (0.0, 0.0, 0.2)),
+            ee=Pose(DOWN_ALONG_X, FLOOR + (0.0, 0.0, self.module.LENGTH / 2 + self.module.GRIP)),
             width=0.08,
             objects={
                 self.grasped: BodyState(Pose(rotation, middle), still, still),
@@ -72,6 +73,7 @@ class Insertion:
             },
             touching={self.grasped: touching, self.into: (False, False)},
             on_table={self.grasped: on_table},
+            contacts=contacts({self.grasped: touching}, supports=((self.grasped, self.into),)),
         )
 
     def won(self, state: SceneState) -> bool:

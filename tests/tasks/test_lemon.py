@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_made import Point, view
+from hand_made import Point, contacts, view
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Pose
@@ -74,6 +74,7 @@ def caught(
         objects={"lemon": lemon},
         touching={"lemon": touching},
         on_table={"lemon": on_table},
+        contacts=contacts({"lemon": touching}),
     )
 
 

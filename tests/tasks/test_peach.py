@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_made import contacts
 
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.geometry import Pose
@@ -37,6 +38,7 @@ def seen(
         },
         touching={"peach": (left, False), "bowl": (False, False)},
         on_table={"peach": False},
+        contacts=contacts({"peach": (left, False)}, supports=(("peach", "bowl"),)),
     )
     frames = heading_frames(state, None)
     return PhaseView(state=state, entry=state, start=state, frames=frames, entry_frames=frames)

@@ -1,7 +1,17 @@
 """Predicates, the words for what must hold: adjectives over a view of the scene."""
 
+from dynaforge.tasks.predicates.force import Gently, Gripped, Struck, SupportedBy
 from dynaforge.tasks.predicates.logic import All, Not, Predicate
-from dynaforge.tasks.predicates.objects import AtRestOn, Departed, Fallen, Lifted, OnTable, Upright, Within
+from dynaforge.tasks.predicates.objects import (
+    AtRestOn,
+    Departed,
+    Fallen,
+    FootOn,
+    Lifted,
+    OnTable,
+    Upright,
+    Within,
+)
 from dynaforge.tasks.predicates.robot import (
     Aligned,
     Around,
@@ -23,7 +33,10 @@ __all__ = [
     "Clicked",
     "Departed",
     "Fallen",
+    "FootOn",
+    "Gently",
     "Grasped",
+    "Gripped",
     "Lifted",
     "Narrowed",
     "Near",
@@ -33,6 +46,8 @@ __all__ = [
     "Reached",
     "Released",
     "RobotStopped",
+    "Struck",
+    "SupportedBy",
     "Touched",
     "Upright",
     "Within",

@@ -21,6 +21,7 @@ class Within:
         object: The other object.
         distance: Largest distance of the point from the vertical axis through the other object's origin, metres.
         height: Largest height of the point above the other object's origin, metres.
+        floor: Smallest height of the point above the other object's origin, metres.
         tool: The point in the frame of `held`, metres.
     """
 
@@ -29,38 +30,79 @@ class Within:
     distance: Size
     height: float
     _: KW_ONLY
+    floor: float = -math.inf
     tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         point = view.state.objects[self.held].pose.apply(np.array(self.tool))
         x, y, z = (point - view.state.objects[self.object].pose.position).tolist()
-        return math.hypot(x, y) <= self.distance and z <= self.height
+        return math.hypot(x, y) <= self.distance and self.floor <= z <= self.height
 
 
 @dataclass(frozen=True, slots=True)
 class Upright:
-    """The object's z axis is within `tilt` radians of the vertical, either way up."""
+    """An axis of the object is vertical, either way up.
+
+    Attributes:
+        object: The object.
+        tilt: Largest angle between the axis and the vertical, radians.
+        any_face: Whether any of the three axes will do, as of a cube that stands on any of its faces; otherwise it is
+            the z axis.
+    """
 
     object: ObjectName
     tilt: Size
+    any_face: bool = False
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
-        return abs(float(view.state.objects[self.object].pose.rotation[2, 2])) >= math.cos(self.tilt)
+        up = np.abs(view.state.objects[self.object].pose.rotation[2])
+        return bool((up.max() if self.any_face else up[2]) >= math.cos(self.tilt))
+
+
+@dataclass(frozen=True, slots=True)
+class FootOn:
+    """No part of an object that stands on a square plate hangs over its edges.
+
+    Attributes:
+        object: The object, a cube.
+        other: The plate; its frame is in the middle, its edges along its x and y axes.
+        half: Half the edge length of the cube, metres.
+        plate: Half the edge length of the plate, metres.
+    """
+
+    object: ObjectName
+    other: ObjectName
+    half: Size
+    plate: Size
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        cube = view.state.objects[self.other].pose.inverse() @ view.state.objects[self.object].pose
+        reach = np.abs(cube.position) + self.half * np.abs(cube.rotation).sum(axis=1)
+        return bool((reach[:2] <= self.plate).all())
 
 
 @dataclass(frozen=True, slots=True)
 class AtRestOn:
-    """The object moves with another one: at its place their velocities differ by at most `speed` m/s."""
+    """The object moves and turns with another one.
+
+    Attributes:
+        object: The object.
+        other: The other one, which carries it.
+        speed: Largest difference of their velocities at the object's place, m/s.
+        spin: Largest difference of their angular velocities, rad/s. A ball of 3 cm that rolls at 5 cm/s turns at 1.6.
+    """
 
     object: ObjectName
     other: ObjectName
     speed: Size
+    spin: Size = 2.0
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         body, carrier = view.state.objects[self.object], view.state.objects[self.other]
         offset = body.pose.position - carrier.pose.position
         relative = body.velocity - carrier.velocity - np.cross(carrier.angular_velocity, offset)
-        return float(relative @ relative) <= self.speed * self.speed
+        turning = body.angular_velocity - carrier.angular_velocity
+        return bool(relative @ relative <= self.speed * self.speed and turning @ turning <= self.spin * self.spin)
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,7 @@ class Aligned:
 
 @dataclass(frozen=True, slots=True)
 class Touched:
-    """A finger touches the object."""
+    """A finger presses on the object, however lightly."""
 
     object: ObjectName
 
@@ -88,7 +88,7 @@ class Touched:
 
 @dataclass(frozen=True, slots=True)
 class Grasped:
-    """Both fingers touch the object."""
+    """Both fingers press on the object, however lightly."""
 
     object: ObjectName
 
@@ -98,7 +98,7 @@ class Grasped:
 
 @dataclass(frozen=True, slots=True)
 class Released:
-    """No finger touches the object."""
+    """No finger presses on the object."""
 
     object: ObjectName
 
@@ -118,25 +118,32 @@ class Narrowed:
 
 @dataclass(frozen=True, slots=True)
 class Clicked:
-    """A closed fingertip presses the middle of a button past its click point.
+    """Closed fingertips press the middle of a button past its click point.
 
     Attributes:
         button: The fixture that has the button and its spring.
         travel: How far the button must be pressed in, metres.
         off_centre: Largest distance of the hand's axis from the button's, metres.
         width: Largest opening between the fingers, metres.
+        tilt: Largest angle between the hand's axis and the button's, radians; beyond, a finger's side presses.
     """
 
     button: ObjectName
     travel: Size
     off_centre: Size
-    width: Size = 0.005
+    width: Size = 0.002
+    tilt: Size = 0.3
 
     def __call__(self, view: PhaseView, target: Pose) -> bool:
         state = view.state
         if state.width > self.width or not any(state.touching[self.button]):
             return False
-        return state.pressed[self.button] >= self.travel and plane_distance(view, self.button) <= self.off_centre
+        straight = float(state.ee.rotation[:, 2] @ -state.objects[self.button].pose.rotation[:, 2])
+        return (
+            state.pressed[self.button] >= self.travel
+            and plane_distance(view, self.button) <= self.off_centre
+            and straight >= math.cos(self.tilt)
+        )
 
 
 def plane_distance(view: PhaseView, name: str) -> float:
