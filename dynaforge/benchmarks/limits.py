@@ -95,7 +95,8 @@ class LimitUse:
 
     Attributes:
         position: Radians beyond a joint position limit; negative inside.
-        velocity: Largest share of a velocity limit, over samples and over differences of positions.
+        velocity: Largest share of a velocity limit, which depends on position, over samples and over differences of
+            positions, whose limit is that of the middle between them.
         acceleration: Largest share of an acceleration limit, over samples and over differences of velocities.
         collisions: Configurations in collision in the dense check.
         started_in_collision: Whether it began in collision; `collisions` then counts from the first free configuration.
@@ -128,11 +129,18 @@ def limit_use(trajectory: JointTrajectory, robot: RobotDescription, collision: C
     first_free = hits.index(False) if hits[0] and False in hits else 0
     return LimitUse(
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
-        velocity=float((np.abs(np.concatenate((dq, slopes))) / robot.dq_max).max()),
+        velocity=max(_speed_share(q, dq, robot), _speed_share((q[:-1] + q[1:]) / 2, slopes, robot)),
         acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),
         collisions=sum(hits[first_free:]),
         started_in_collision=hits[0],
     )
+
+
+def _speed_share(q: Array, dq: Array, robot: RobotDescription) -> float:
+    """Return the largest share of the velocity limits at positions q (n, 7) that velocities dq (n, 7) use."""
+    lower, upper = robot.speed_limits(q)
+    limit = np.where(dq > 0.0, upper, -lower)
+    return float((np.abs(dq) / np.maximum(limit, ROUNDING)).max(initial=0.0))
 
 
 def _densely_sampled(q: Array) -> Iterator[Array]:

@@ -14,6 +14,8 @@ from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
 ARRIVED = 1e-10  # rad, rad/s, rad/s^2
+LOOK_AHEAD = 1.2  # control steps: one, and a share for what a joint moves on while its brakes build up
+LEAST_SPEED = 1e-3  # rad/s; Ruckig needs a speed to plan with, even for a joint at its end that must not move on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +51,8 @@ class LocalPlanner:
 
     Inverse kinematics starts at the current reference. Ruckig then moves the reference one control step toward the
     solution under the velocity, acceleration and jerk limits, with a target velocity of zero (any other would be a
-    prediction). Call `reset` first.
+    prediction). Velocity limits depend on position, and Ruckig's are constant: it gets those that still hold where they
+    lead at the end of the control step. Call `reset` first.
 
     Args:
         robot: Gives the limits.
@@ -64,7 +67,7 @@ class LocalPlanner:
         self._input = ruckig.InputParameter(7)
         # Joints that arrive together keep the hand near the straight line; otherwise it dips into the object.
         self._input.synchronization = ruckig.Synchronization.Time
-        self._input.max_velocity = robot.dq_max.tolist()
+        self._speed_limits = robot.speed_limits.ahead(LOOK_AHEAD * dt)
         self._input.max_acceleration = robot.ddq_max.tolist()
         self._input.max_jerk = robot.dddq_max.tolist()
         self.reset(robot.q_ready, robot.width_max)
@@ -139,6 +142,9 @@ class LocalPlanner:
 
     def _next(self, q_goal: Array) -> JointState:
         """Return the state one control step nearer to the goal."""
+        lower, upper = self._speed_limits(self._reference.joints.q)
+        self._input.min_velocity = np.minimum(lower, -LEAST_SPEED).tolist()
+        self._input.max_velocity = np.maximum(upper, LEAST_SPEED).tolist()
         self._input.target_position = q_goal.tolist()
         output = self._output
         try:

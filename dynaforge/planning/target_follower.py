@@ -24,7 +24,8 @@ class TargetFollower:
 
     The reference is a sequence of positions. Its velocity is their difference over a control step, its acceleration the
     difference of the velocities, and both stay inside the limits (at 30 Hz the jerk limit of 5000 rad/s^3 never
-    applies). A motion that keeps the limits at every instant keeps them here too, because differences are means.
+    applies). A motion that keeps the limits at every instant keeps them here too, because differences are means. The
+    velocity limits are those of the middle of the step.
 
     Args:
         robot: Gives the limits.
@@ -35,6 +36,7 @@ class TargetFollower:
     def __init__(self, robot: RobotDescription, kinematics: ArmKinematics, *, dt: float) -> None:
         self.robot, self.kinematics, self.dt = robot, kinematics, dt
         self._dq_max = robot.dq_max * (1.0 + LIMIT_TOLERANCE)
+        self._speed_limits = robot.speed_limits.ahead(0.5 * dt)
         self._max_change = robot.ddq_max * dt * (1.0 + LIMIT_TOLERANCE)  # of the velocity in one control step, rad/s
         self.reset(robot.q_ready, robot.width_max)
 
@@ -123,7 +125,10 @@ class TargetFollower:
 
     def _allowed_velocities(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Return the least and the greatest next velocity of each joint that keep the limits and leave room to stop."""
-        low, high = np.maximum(-self._dq_max, dq - self._max_change), np.minimum(self._dq_max, dq + self._max_change)
+        lower, upper = self._speed_limits(q)
+        rounding = LIMIT_TOLERANCE * self.robot.dq_max
+        low = np.maximum(lower - rounding, dq - self._max_change)
+        high = np.minimum(upper + rounding, dq + self._max_change)
         room_below, room_above = q - self.robot.q_lower, self.robot.q_upper - q
         return (
             np.clip(-stopping_velocity(room_below, self._max_change, self.dt), low, high),

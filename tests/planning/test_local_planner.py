@@ -19,7 +19,9 @@ def local(robot: RobotDescription, kinematics: ArmKinematics) -> LocalPlanner:
 
 def assert_step_inside_limits(before: JointReference, after: JointReference, robot: RobotDescription) -> None:
     slack = 1 + 1e-9
-    assert (np.abs(after.joints.dq) <= robot.dq_max * slack).all()
+    lower, upper = robot.speed_limits(after.joints.q)
+    assert (after.joints.dq >= lower - 1e-9).all()
+    assert (after.joints.dq <= upper + 1e-9).all()
     assert (np.abs(after.joints.ddq) <= robot.ddq_max * slack).all()
     assert (np.abs(after.joints.q - before.joints.q) / DT <= robot.dq_max * slack).all()
     assert (np.abs(after.joints.dq - before.joints.dq) / DT <= robot.ddq_max * slack).all()
@@ -52,6 +54,26 @@ def test_references_keep_every_limit_under_jumpy_joint_targets(
         after = local.to_joints(q, 0.0)
         assert_step_inside_limits(before, after, robot)
         before = after
+
+
+@pytest.mark.parametrize("dt", [1 / 15, 1 / 30, 1 / 60])
+def test_every_joint_keeps_the_speed_limits_of_its_position_toward_both_ends(
+    dt: float, robot: RobotDescription, kinematics: ArmKinematics, rng: np.random.Generator
+) -> None:
+    local, slowed = LocalPlanner(robot, kinematics, dt=dt), np.zeros((2, 7), bool)
+    q = robot.q_ready
+    for _ in range(80):
+        ends = np.where(rng.random(7) < 0.5, robot.q_lower, robot.q_upper)
+        aim = ends if rng.random() < 0.5 else ends + 0.3 * rng.normal(size=7)
+        q = np.where(rng.random(7) < 0.4, aim, q)  # a joint that moves alone waits for no other
+        for _ in range(int(rng.uniform(0.05, 1.5) / dt)):
+            joints = local.to_joints(q, 0.0).joints
+            lower, upper = robot.speed_limits(joints.q)
+            assert (joints.dq >= lower - 1e-9).all()
+            assert (joints.dq <= upper + 1e-9).all()
+            near = np.stack((lower > -robot.dq_max, upper < robot.dq_max))
+            slowed |= near & np.stack((joints.dq < 0.7 * lower, joints.dq > 0.7 * upper))
+    assert slowed[:, 1:4].all()  # joints 2 to 4 came near the limit, in both directions
 
 
 def test_a_target_that_stays_is_reached_and_held(local: LocalPlanner, robot: RobotDescription, ready: Pose) -> None:
