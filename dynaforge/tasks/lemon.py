@@ -15,6 +15,7 @@ from dynaforge.tasks.phase import REDUCED_SPEED
 from dynaforge.tasks.predicates import (
     All,
     Around,
+    Between,
     Fallen,
     Grasped,
     Gripped,
@@ -90,7 +91,7 @@ CATCH = Catching("lemon", "ledge", ahead=0.05, height=0.005, pitch=math.radians(
 BACKED_OFF = Catching("lemon", "ledge", ahead=0.10, height=0.005, pitch=math.radians(30.0))
 # Below 45 mm the fingers pinch only the lemon's near end, and it would slip out if the edge did not wedge it in.
 CAUGHT = All((Grasped("lemon"), Around("lemon", 0.025), Narrowed(0.065), Not(Narrowed(0.045))))
-HELD = All((CAUGHT, Gripped("lemon"), Not(SupportedBy("lemon", "ledge"))))
+HELD = All((CAUGHT, Gripped("lemon"), Between("lemon"), Not(SupportedBy("lemon", "ledge"))))
 
 TASK = Task(
     name="lemon",

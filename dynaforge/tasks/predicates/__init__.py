@@ -15,6 +15,7 @@ from dynaforge.tasks.predicates.objects import (
 from dynaforge.tasks.predicates.robot import (
     Aligned,
     Around,
+    Between,
     Clicked,
     Grasped,
     Narrowed,
@@ -30,6 +31,7 @@ __all__ = [
     "All",
     "Around",
     "AtRestOn",
+    "Between",
     "Clicked",
     "Departed",
     "Fallen",

@@ -51,6 +51,25 @@ class Around:
 
 
 @dataclass(frozen=True, slots=True)
+class Between:
+    """The object's origin is between the finger pads, not above or below them: it cannot lie on the fingers.
+
+    Attributes:
+        object: The object.
+        breadth: Largest distance of its origin from the middle of the pads, along their breadth, metres; by default
+            half their breadth.
+    """
+
+    object: ObjectName
+    breadth: Size = 0.010
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        hand = view.state.ee
+        offset = view.state.objects[self.object].pose.position - hand.position
+        return bool(abs(offset @ hand.rotation[:, 0]) <= self.breadth)
+
+
+@dataclass(frozen=True, slots=True)
 class Aligned:
     """The hand is above the object.
 
