@@ -6,9 +6,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from dynaforge.geometry import Array
+from dynaforge.sim.arm_motors import ArmCommand, ArmMotors
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.scene import SimScene
 from dynaforge.sim.state import SceneState
@@ -19,14 +18,12 @@ class MotorCommands:
     """The commands to all motors in one control step, computed beforehand.
 
     Attributes:
-        path: Joint targets of the arm at each substep, radians, shape (substeps, 7).
-        velocity: Joint velocities fed forward with them, rad/s, shape (7,).
+        arm: Commands to the arm's motors, one per substep.
         width: Opening of the hand, metres.
         fixtures: Motor speeds of each fixture, rad/s or m/s.
     """
 
-    path: list[list[float]]
-    velocity: list[float]
+    arm: list[ArmCommand]
     width: float
     fixtures: list[list[float]]
 
@@ -46,13 +43,20 @@ def motor_commands(
         The commands of each control step.
     """
     spec, fixtures = scene.spec, scene._bullet.fixtures.values()
-    shares = np.arange(1, spec.substeps + 1)[:, None] / spec.substeps
-    state, start, commands = scene.reset(condition), scene.robot.q_ready, []
+    state, commands = scene.reset(condition), []
+    robot = scene._bullet.robot
+    planner = ArmMotors(  # a second one, which only plans
+        scene._bullet.client,
+        robot.body,
+        robot.arm,
+        scene.robot,
+        substeps=spec.substeps,
+        control_dt=spec.control_dt,
+    )
     for q, width in references:
-        path, velocity = (start + shares * (q - start)).tolist(), ((q - start) / spec.control_dt).tolist()
         due = [fixture.due(state.time + spec.control_dt, spec.control_dt) for fixture in fixtures]
-        commands.append(MotorCommands(path, velocity, width, due))
-        state, start = scene.step(q, width), q
+        commands.append(MotorCommands(planner.plan(q), width, due))
+        state = scene.step(q, width)
     return commands
 
 
@@ -71,19 +75,18 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
     """
     scene.reset(condition)
     # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.
-    command_arm, step_physics, finger_motors = scene._command_arm, scene._step_physics, scene._finger_motors
+    run_arm, step_physics, finger_motors = scene._arm.run, scene._step_physics, scene._finger_motors
     fixtures = tuple(scene._bullet.fixtures.values())
     commanded = None
     begin = time.process_time()
     for step in commands:
         if step.width != commanded:
             commanded = step.width
-            for command in finger_motors:
-                command(targetPosition=step.width / 2)
+            for move_finger in finger_motors:
+                move_finger(targetPosition=step.width / 2)
         for fixture, due in zip(fixtures, step.fixtures, strict=True):
             fixture.command(due)
-        velocity = step.velocity
-        for q in step.path:
-            command_arm(targetPositions=q, targetVelocities=velocity)
+        for command in step.arm:
+            run_arm(command)
             step_physics()
     return time.process_time() - begin, scene.observe()

@@ -38,6 +38,7 @@ class RobotDescription:
             command to that.
         q_ready: The joint positions from which every episode starts, radians, shape (7,).
         effort_max: Joint torque limits, Nm, shape (7,).
+        torque_margin: How much torque a motor gives at most beyond what its reference needs, Nm, shape (7,).
         width_max: Largest opening between the fingers, metres.
         finger_speed_max: Speed limit of one finger, m/s; the width changes at most twice as fast.
         grip_force: Force limit of each finger, newtons.
@@ -54,6 +55,7 @@ class RobotDescription:
     dddq_max: Array
     q_ready: Array
     effort_max: Array
+    torque_margin: Array
     stop_speed: float = 1.5
     width_max: float = HAND_WIDTH
     finger_speed_max: float = 0.05
@@ -67,10 +69,10 @@ class RobotDescription:
             if len(check_tuple(f"RobotDescription: {name}", getattr(self, name), str)) != n:
                 raise ValueError(f"RobotDescription: {name} is {quoted(getattr(self, name))}; it must be {n} names.")
         check_text("RobotDescription: ee_link", self.ee_link)
-        for name in ("q_lower", "q_upper", "q_ready", "ddq_max", "dddq_max", "effort_max"):
+        for name in ("q_lower", "q_upper", "q_ready", "ddq_max", "dddq_max", "effort_max", "torque_margin"):
             values = finite_array(f"RobotDescription: {name}", getattr(self, name), (7,))
             object.__setattr__(self, name, values)
-            if "max" in name and (values <= 0.0).any():
+            if ("max" in name or "margin" in name) and (values <= 0.0).any():
                 raise ValueError(f"RobotDescription: {name} is {quoted(values.tolist())}; limits are above 0.")
         if not (self.q_lower < self.q_upper).all():
             raise ValueError("RobotDescription: q_lower is not below q_upper in every joint.")
@@ -115,4 +117,7 @@ def franka() -> RobotDescription:
         dddq_max=np.full(7, 5000.0),
         q_ready=np.array((0.0, 0.0, 0.0, -2.2, 0.0, 2.2, 0.785)),
         effort_max=np.array((87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)),
+        # Half of the lowest collision thresholds in use: enough for a load of 0.4 kg at arm's length (2.4 Nm) and for
+        # starts and stops, and little enough that a hand 2.5 cm past contact presses with less than 80 N.
+        torque_margin=np.array((8.0, 8.0, 8.0, 8.0, 5.0, 5.0, 5.0)),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose
+from dynaforge.sim.arm_motors import POSITION_GAIN, VELOCITY_GAIN, ArmMotors
 from dynaforge.sim.bullet import pose_of
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.bullet_scene import load_scene
@@ -16,13 +17,14 @@ from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_pictur
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.contacts import ContactReader
+from dynaforge.sim.force_watch import ForceWatch
+from dynaforge.sim.loads import Loads
+from dynaforge.sim.reflex import ReflexName, thresholds
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.shapes import LinkName, VisualShape, link_poses, visual_shapes
 from dynaforge.sim.spec import Launch, Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
 
-POSITION_GAIN = 0.3
-VELOCITY_GAIN = 1.0
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers exceeds the motor's own limit by up to 0.2 %
 PARKED_STEPS = 2  # substeps at each reset; in the second, Bullet finds its list of pairs empty
 # Collision group and mask; FREE and BOLTED are those that Bullet assigns when it loads a body.
@@ -39,6 +41,7 @@ class SimScene:
     Args:
         spec: What the scene contains.
         robot: Geometry and limits; the Franka by default.
+        reflex: The external loads that stop the robot: a name of `THRESHOLDS`, or a force in newtons.
         visuals: Whether to load visual shapes, which rendering needs and training does not. "plain" draws the robot by
             its collision meshes, with 3,400 triangles instead of 100,000: a picture takes a fifth of the time.
         gui: Whether to open Bullet's window.
@@ -57,6 +60,7 @@ class SimScene:
         spec: SceneSpec,
         *,
         robot: RobotDescription | None = None,
+        reflex: ReflexName | float = "contact",
         visuals: Visuals = False,
         gui: bool = False,
     ) -> None:
@@ -72,24 +76,17 @@ class SimScene:
         self.names = tuple(self._bullet.bodies)
         self._saved = self._bullet.client.saveState()
         self._bind_hot_calls()
-        n = spec.substeps
-        self._substep_shares = np.arange(1, n + 1)[:, None] / n
+        client, robot = self._bullet.client, self._bullet.robot
+        self._arm = ArmMotors(
+            client, robot.body, robot.arm, self.robot, substeps=spec.substeps, control_dt=spec.control_dt
+        )
+        self._watch = ForceWatch(client, robot.body, self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
-        self._q_reference = self.robot.q_ready
 
     def _bind_hot_calls(self) -> None:
         # Looking a function up in the client costs a third of the time of a short call.
         client, robot = self._bullet.client, self._bullet.robot
         self._step_physics = client.stepSimulation
-        self._command_arm = partial(
-            client.setJointMotorControlArray,
-            bodyUniqueId=robot.body,
-            jointIndices=robot.arm,
-            controlMode=p.POSITION_CONTROL,
-            forces=self.robot.effort_max.tolist(),
-            positionGains=[POSITION_GAIN] * 7,
-            velocityGains=[VELOCITY_GAIN] * 7,
-        )
         self._finger_motors = [
             partial(
                 client.setJointMotorControl2,
@@ -141,8 +138,9 @@ class SimScene:
                 self._bullet.fixtures[name].place(start)
             else:
                 self._launch(name, start)
+        self._arm.reset()
+        self._watch.reset()
         self._time = 0.0
-        self._q_reference = self.robot.q_ready
         return self.observe()
 
     def _register_bodies(self, *, colliding: bool) -> None:
@@ -172,26 +170,28 @@ class SimScene:
     def step(self, q_reference: Array, width_reference: float) -> SceneState:
         """Advance one control step toward a joint reference.
 
-        Each substep moves the reference on a straight line and feeds its velocity forward.
+        `ArmMotors` says how the arm moves in between.
 
         Args:
             q_reference: Joint positions to reach at the end of the control step, radians, shape (7,).
             width_reference: Opening to reach at the end of the control step, metres. The finger motors never exceed
                 the hand's speed limit.
         """
-        start = self._q_reference
-        velocity = ((q_reference - start) / self.spec.control_dt).tolist()
-        path = start + self._substep_shares * (q_reference - start)
         for command in self._finger_motors:
             command(targetPosition=width_reference / 2)
         for fixture in self._bullet.fixtures.values():
             fixture.drive(self._time + self.spec.control_dt, self.spec.control_dt)
-        for q in path.tolist():
-            self._command_arm(targetPositions=q, targetVelocities=velocity)
+        for command in self._arm.plan(q_reference):
+            self._arm.run(command)
             self._step_physics()
-        self._q_reference = q_reference
+            self._watch.see()
         self._time += self.spec.control_dt
         return self.observe()
+
+    @property
+    def loads(self) -> Loads:
+        """The greatest external loads on the robot in this episode so far."""
+        return self._watch.loads
 
     def close(self) -> None:
         """Disconnect from physics; safe to call more than once."""
@@ -202,7 +202,7 @@ class SimScene:
     def observe(self) -> SceneState:
         """Return a snapshot of the scene."""
         joints = self._joint_states()
-        dq = np.array([joint[1] for joint in joints[:7]])
+        q, dq = np.array([joint[0] for joint in joints[:7]]), np.array([joint[1] for joint in joints[:7]])
         ee = self._ee_pose()
         fixtures = self._bullet.fixtures
         contacts = self._contacts.read(ee)
@@ -214,7 +214,7 @@ class SimScene:
             objects[name] = fixture.observe()
         return SceneState(
             time=self._time,
-            q=np.array([joint[0] for joint in joints[:7]]),
+            q=q,
             dq=dq,
             ee=ee,
             width=joints[7][0] + joints[8][0],
@@ -223,6 +223,8 @@ class SimScene:
             on_table={name: (name, "table") in contacts.supports for name, _ in self._observed},
             contacts=contacts,
             stopped=bool((np.abs(dq) > self._stop_speeds).any()),
+            loads=self._watch.end_step(q, ee.position),
+            overloaded=self._watch.tripped,
             pressed={name: fixture.pressed for name, fixture in fixtures.items() if fixture.spec.spring},
         )
 

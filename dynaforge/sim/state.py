@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from dynaforge.geometry import Array, Pose, one_line
 from dynaforge.sim.contacts import NO_CONTACTS, Contacts
+from dynaforge.sim.loads import NO_LOADS, StepLoads
 
 
 class BodyColumn(NamedTuple):
@@ -72,6 +73,8 @@ class SceneState:
         touching: For each of these, whether the left and the right finger press on it, however lightly.
         on_table: For each free body, whether the table carries some of its weight.
         stopped: Whether the robot stopped itself because a joint moved too fast.
+        overloaded: Whether its collision reflex has stopped it.
+        loads: The external loads on it during the control step.
         pressed: For each fixture with a spring, how far it is pressed in, metres.
         contacts: Who presses on whom, and how hard.
     """
@@ -85,6 +88,8 @@ class SceneState:
     touching: Mapping[str, tuple[bool, bool]]
     on_table: Mapping[str, bool]
     stopped: bool = False
+    overloaded: bool = False
+    loads: StepLoads = NO_LOADS
     pressed: Mapping[str, float] = field(default_factory=dict)
     contacts: Contacts = NO_CONTACTS
 

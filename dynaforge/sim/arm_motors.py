@@ -1,0 +1,111 @@
+"""The arm's motors: they track a joint reference and yield where something is in the way."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dynaforge.geometry import Array
+from dynaforge.sim.arm_dynamics import ArmDynamics
+from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.robot import RobotDescription
+
+POSITION_GAIN = 0.3
+VELOCITY_GAIN = 1.0
+
+
+class ArmCommand(NamedTuple):
+    """What the arm's motors are told for one substep.
+
+    Attributes:
+        q: Joint positions to reach at its end, radians.
+        dq: Joint velocities there, rad/s.
+        torque: Torques fed forward during it, Nm.
+    """
+
+    q: list[float]
+    dq: list[float]
+    torque: list[float]
+
+
+class ArmMotors:
+    """Moves the arm along a joint reference with no more force than that needs.
+
+    Between the references of two control steps the arm follows a cubic whose velocity is continuous. Its velocity at a
+    reference is extrapolated from the last two mean velocities, so that it depends on positions alone and is exact
+    where the acceleration is constant. (On straight lines, whose velocity jumps at every reference, the second joint was at
+    its torque limit in 7 % of all substeps in free motion.)
+
+    The torque that this motion needs is fed forward (`ArmDynamics`). A motor of Bullet's corrects what is left, and
+    gives `RobotDescription.torque_margin` at most. An arm that is held back thus pushes with no more than the margin
+    divided by its lever: 2.5 cm past a rigid contact, with 80 N at most, where motors limited by the robot's torque
+    alone give 340 to 550 N. In free motion the margin is not used up, and tracking is as good as with such motors. A
+    joint impedance with the gains of libfranka's examples is unstable at 240 Hz; with a tenth of the damping it tracks
+    five times worse and presses with up to 280 N.
+
+    Args:
+        client: The physics client.
+        body: Bullet's index of the robot.
+        joints: Bullet's indices of the arm's joints.
+        robot: Limits and margins.
+        substeps: Number of substeps in a control step.
+        control_dt: Duration of a control step, seconds.
+    """
+
+    def __init__(
+        self, client: Any, body: int, joints: list[int], robot: RobotDescription, *, substeps: int, control_dt: float
+    ) -> None:
+        self.dynamics = ArmDynamics(robot)
+        self._robot, self._dt = robot, control_dt
+        self._most = robot.effort_max - robot.torque_margin
+        command = partial(client.setJointMotorControlArray, bodyUniqueId=body, jointIndices=joints)
+        self._feed_forward = partial(command, controlMode=p.TORQUE_CONTROL)
+        self._correct = partial(
+            command,
+            controlMode=p.POSITION_CONTROL,
+            forces=robot.torque_margin.tolist(),
+            velocityGains=[VELOCITY_GAIN] * len(joints),
+        )
+        u = np.arange(1, substeps + 1) / substeps
+        # The cubic in terms of position and velocity at its start and its end.
+        self._position = np.column_stack(
+            (2 * u**3 - 3 * u**2 + 1, u**3 - 2 * u**2 + u, 3 * u**2 - 2 * u**3, u**3 - u**2)
+        )
+        self._velocity = np.column_stack((6 * u**2 - 6 * u, 3 * u**2 - 4 * u + 1, 6 * u - 6 * u**2, 3 * u**2 - 2 * u))
+        middle = u - 0.5 / substeps
+        self._blend = np.column_stack((1 - middle, middle))
+        self.reset()
+
+    def reset(self, gain: float = 1.0) -> None:
+        """Start an episode at rest at the ready pose.
+
+        Args:
+            gain: Factor on the position gain, which differs from arm to arm.
+        """
+        self._gains = [gain * POSITION_GAIN] * 7
+        self._q = self._robot.q_ready
+        self._mean, self._dq = np.zeros(7), np.zeros(7)
+
+    def plan(self, q: Array) -> list[ArmCommand]:
+        """Return the commands of the control step that ends at joint positions q (rad, shape (7,)), and move on."""
+        dt, q0, dq0 = self._dt, self._q, self._dq
+        mean = (q - q0) / dt
+        dq = 1.5 * mean - 0.5 * self._mean
+        ends = np.array((q0, dt * dq0, q, dt * dq))
+        torques = np.array(
+            (
+                self.dynamics.torque(q0, dq0, (6.0 * mean - 4.0 * dq0 - 2.0 * dq) / dt),
+                self.dynamics.torque(q, dq, (2.0 * dq0 + 4.0 * dq - 6.0 * mean) / dt),
+            )
+        )
+        torques = np.minimum(np.maximum(self._blend @ torques, -self._most), self._most)
+        self._q, self._mean, self._dq = q, mean, dq
+        path, velocities = self._position @ ends, self._velocity @ ends / dt
+        return list(map(ArmCommand, path.tolist(), velocities.tolist(), torques.tolist()))
+
+    def run(self, command: ArmCommand) -> None:
+        """Command the motors for the next substep."""
+        self._correct(targetPositions=command.q, targetVelocities=command.dq, positionGains=self._gains)
+        self._feed_forward(forces=command.torque)
