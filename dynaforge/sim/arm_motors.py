@@ -20,8 +20,8 @@ class ArmCommand(NamedTuple):
     """What the arm's motors are told for one substep.
 
     Attributes:
-        q: Joint positions to reach at its end, radians.
-        dq: Joint velocities there, rad/s.
+        q: Joint positions at its start, radians.
+        dq: Joint velocities at its end, rad/s.
         torque: Torques fed forward during it, Nm.
     """
 
@@ -35,15 +35,15 @@ class ArmMotors:
 
     Between the references of two control steps the arm follows a cubic whose velocity is continuous. Its velocity at a
     reference is extrapolated from the last two mean velocities, so that it depends on positions alone and is exact
-    where the acceleration is constant. (On straight lines, whose velocity jumps at every reference, the second joint was at
-    its torque limit in 7 % of all substeps in free motion.)
+    where the acceleration is constant. (On straight lines, whose velocity jumps at every reference, the second joint
+    was at its torque limit in 7 % of all substeps in free motion.)
 
     The torque that this motion needs is fed forward (`ArmDynamics`). A motor of Bullet's corrects what is left, and
     gives `RobotDescription.torque_margin` at most. An arm that is held back thus pushes with no more than the margin
     divided by its lever: 2.5 cm past a rigid contact, with 80 N at most, where motors limited by the robot's torque
     alone give 340 to 550 N. In free motion the margin is not used up, and tracking is as good as with such motors. A
     joint impedance with the gains of libfranka's examples is unstable at 240 Hz; with a tenth of the damping it tracks
-    five times worse and presses with up to 280 N.
+    many times worse and presses with up to 280 N.
 
     Args:
         client: The physics client.
@@ -69,10 +69,11 @@ class ArmMotors:
             velocityGains=[VELOCITY_GAIN] * len(joints),
         )
         u = np.arange(1, substeps + 1) / substeps
-        # The cubic in terms of position and velocity at its start and its end.
-        self._position = np.column_stack(
-            (2 * u**3 - 3 * u**2 + 1, u**3 - 2 * u**2 + u, 3 * u**2 - 2 * u**3, u**3 - u**2)
-        )
+        # The cubic in terms of position and velocity at its start and its end. Bullet compares a position with the one
+        # before the substep, and a velocity with the one after it.
+        s = u - 1 / substeps
+        ease = 3 * s**2 - 2 * s**3
+        self._position = np.column_stack((1 - ease, s**3 - 2 * s**2 + s, ease, s**3 - s**2))
         self._velocity = np.column_stack((6 * u**2 - 6 * u, 3 * u**2 - 4 * u + 1, 6 * u - 6 * u**2, 3 * u**2 - 2 * u))
         middle = u - 0.5 / substeps
         self._blend = np.column_stack((1 - middle, middle))

@@ -76,11 +76,9 @@ class SimScene:
         self.names = tuple(self._bullet.bodies)
         self._saved = self._bullet.client.saveState()
         self._bind_hot_calls()
-        client, robot = self._bullet.client, self._bullet.robot
-        self._arm = ArmMotors(
-            client, robot.body, robot.arm, self.robot, substeps=spec.substeps, control_dt=spec.control_dt
-        )
-        self._watch = ForceWatch(client, robot.body, self._arm.dynamics, thresholds(reflex))
+        client, body, joints = self._bullet.client, self._bullet.robot.body, self._bullet.robot.arm
+        self._arm = ArmMotors(client, body, joints, self.robot, substeps=spec.substeps, control_dt=spec.control_dt)
+        self._watch = ForceWatch(client, body, self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
 
     def _bind_hot_calls(self) -> None:
@@ -177,8 +175,8 @@ class SimScene:
             width_reference: Opening to reach at the end of the control step, metres. The finger motors never exceed
                 the hand's speed limit.
         """
-        for command in self._finger_motors:
-            command(targetPosition=width_reference / 2)
+        for move_finger in self._finger_motors:
+            move_finger(targetPosition=width_reference / 2)
         for fixture in self._bullet.fixtures.values():
             fixture.drive(self._time + self.spec.control_dt, self.spec.control_dt)
         for command in self._arm.plan(q_reference):

@@ -24,7 +24,7 @@ from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.dry_run import dry_run
 from dynaforge.tasks.phase import Ending, Mode, Phase, check_endings
-from dynaforge.tasks.predicates import RobotStopped
+from dynaforge.tasks.predicates import Overloaded, RobotStopped
 from dynaforge.tasks.words import check_word, unknown_name_message
 
 __all__ = ["FRAMES", "Frame", "Mode", "Phase", "ResidualSpec", "Task"]
@@ -193,7 +193,8 @@ class Task:
     @property
     def endings(self) -> tuple[Ending, ...]:
         """All (reason, predicate) pairs that end an episode at once: `impossible`, and those common to all tasks."""
-        return (*self.impossible, ("robot stopped", RobotStopped()))
+        stops = (("robot stopped: force", Overloaded()), ("robot stopped: speed", RobotStopped()))
+        return (*self.impossible, *stops)
 
     @property
     def contact_phase(self) -> int:

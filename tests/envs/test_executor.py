@@ -174,7 +174,7 @@ def test_what_makes_success_impossible_ends_the_episode_at_once() -> None:
 def test_a_robot_that_stopped_itself_ends_the_episode_even_in_success() -> None:
     executor = start(program(phase("touch", Touched("can"))))
     executor.advance(replace(UP, stopped=True), REFERENCE)
-    assert executor.outcome == failed(0, "robot stopped", "touch")
+    assert executor.outcome == failed(0, "robot stopped: speed", "touch")
 
 
 def test_a_failed_plan_is_an_outcome_with_its_reason() -> None:

@@ -19,6 +19,14 @@ class RobotStopped:
 
 
 @dataclass(frozen=True, slots=True)
+class Overloaded:
+    """The robot has stopped itself because something pushed against it too hard."""
+
+    def __call__(self, view: PhaseView, target: Pose) -> bool:
+        return view.state.overloaded
+
+
+@dataclass(frozen=True, slots=True)
 class Reached:
     """The hand is within `distance` metres of the target."""
 
