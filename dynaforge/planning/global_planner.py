@@ -180,7 +180,7 @@ class GlobalPlanner:
     def _timed(self, path: Line) -> JointTrajectory:
         trajectory = self._timer.time(path)
         if trajectory is None:
-            raise PlanFailure("timing failed", "TOPP-RA found no timing of a straight edge inside the limits.")
+            raise PlanFailure("timing failed", "no timing of a straight edge keeps the limits.")
         return trajectory
 
 
