@@ -69,13 +69,14 @@ class GlobalPlanner:
         """Plan a trajectory that starts at a joint state and ends at rest at an end-effector pose.
 
         A moving arm first brakes. The goal configuration is the inverse kinematics solution found from where the arm
-        then is, or failing that from elsewhere. The path is the straight joint-space edge, or failing that a path found
-        by RRT-Connect. If the arm starts in a shallow collision (a hand that grazes the table), it first leaves it.
+        then is, or failing that the nearest one in closed form. The path is the straight joint-space edge, or failing
+        that a path found by RRT-Connect. If the arm starts in a shallow collision (a hand that grazes the table), it
+        first leaves it.
 
         Args:
             start: Joint state to start from, moving or at rest.
             target: Wanted `T_world_ee`.
-            rng: Draws the random seeds of the inverse kinematics and of RRT-Connect.
+            rng: Draws the samples of RRT-Connect.
 
         Returns:
             Samples on the dt grid; the first is the given state, the last is the goal, at rest.
@@ -89,7 +90,7 @@ class GlobalPlanner:
         if max(np.abs(start.dq).max(), np.abs(start.ddq).max()) > AT_REST:
             parts.append(self._brake(start))
             q = parts[0].q[-1]
-        goal = self._goal(target, q, rng)
+        goal = self._goal(target, q)
         if self.collision.in_collision(q) and not self._leaves_collision(q, goal):
             retreat = self._retreat(q)
             parts.append(self._timed(Line(q, retreat)))
@@ -112,10 +113,8 @@ class GlobalPlanner:
         samples[-1, 1:] = 0.0
         return JointTrajectory(self.dt, samples[:, 0], samples[:, 1], samples[:, 2])
 
-    def _goal(self, target: Pose, q: Array, rng: np.random.Generator) -> Array:
-        result = self.kinematics.solve_cold(
-            target, rng, q_seed=q, valid=lambda goal: not self.collision.in_collision(goal)
-        )
+    def _goal(self, target: Pose, q: Array) -> Array:
+        result = self.kinematics.solve_cold(target, q_seed=q, valid=lambda goal: not self.collision.in_collision(goal))
         where = f"the end effector at {np.round(target.position, 3).tolist()} m"
         if not result.converged:
             raise PlanFailure("unreachable", f"no configuration has {where}.")

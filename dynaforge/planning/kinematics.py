@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +14,7 @@ import pinocchio as pin
 from scipy.linalg.lapack import dposv  # type: ignore[import-untyped, unused-ignore]
 
 from dynaforge.geometry import Array, Pose, one_line
+from dynaforge.planning.franka_ik import franka_configurations
 from dynaforge.sim.robot import ELBOW, RobotDescription
 
 POSITION_TOLERANCE = 1e-4  # metres
@@ -21,6 +22,7 @@ ROTATION_TOLERANCE = 1e-3  # radians
 MIN_DAMPING = 1e-6
 DAMPING_PER_ERROR = 0.02  # damping grows with the squared error: long steps near the target, careful ones far from it
 MAX_ERROR_STEP = 0.25  # metres and radians: a longer twist is followed in parts, because the Jacobian is local
+LAST_JOINT_ANGLES = 59  # of the grid over its range, 0.1 rad apart
 READY_PULL = 0.02  # share of the way to the ready pose taken in the null space, once per solve
 
 _ONES = np.ones((3, 3))
@@ -176,44 +178,47 @@ class ArmKinematics:
     def solve_cold(
         self,
         target: Pose,
-        rng: np.random.Generator,
         *,
         q_seed: Array,
         valid: Callable[[Array], bool] = lambda q: True,
-        attempts: int = 24,
         max_iterations: int = 50,
     ) -> IkResult:
-        """Search for a configuration that reaches a target, first near a seed.
+        """Find a configuration that reaches a target: near a seed, or else near the seed and the ready pose.
 
-        The seeds are q_seed, the ready pose, and then random configurations.
+        The first try is damped least squares from the seed. The second takes every solution in closed form, over a grid
+        of angles of the last joint, in the order of its squared distances to the seed and to the ready pose. Nothing
+        is drawn.
 
         Args:
             target: Wanted `T_world_ee`.
-            rng: Draws the random seeds.
             q_seed: The configuration to stay near, radians, shape (7,).
             valid: What else a solution must satisfy, such as being free of collision.
-            attempts: Number of seeds tried.
-            max_iterations: Largest number of steps from each seed.
+            max_iterations: Largest number of steps from the seed.
 
         Returns:
             The first converged and valid solution; if none is valid, the first converged one; if none converged, the
             one of least error.
         """
-        fallback: IkResult | None = None
-        for seed in self._seeds(q_seed, rng, attempts):
-            result = self.solve(target, seed, max_iterations=max_iterations)
-            if result.converged and valid(result.q):
+        first = self.solve(target, q_seed, max_iterations=max_iterations)
+        if first.converged and valid(first.q):
+            return first
+        for q in self._in_closed_form(target, (q_seed + self.robot.q_ready) / 2.0):
+            result = self.solve(target, q, max_iterations=0)
+            if result.converged and valid(q):
                 return result
-            if fallback is None or _rank(result) < _rank(fallback):
-                fallback = result
-        assert fallback is not None
-        return fallback
+            if result.converged and not first.converged:
+                first = result
+        return first
 
-    def _seeds(self, q_seed: Array, rng: np.random.Generator, attempts: int) -> Iterator[Array]:
-        yield q_seed
-        yield self.robot.q_ready
-        for _ in range(attempts - 2):
-            yield rng.uniform(self.robot.q_lower, self.robot.q_upper)
+    def _in_closed_form(self, target: Pose, near: Array) -> Array:
+        """Return solutions over a grid of angles of the last joint, nearest first, shape (m, 7)."""
+        lower, upper = self.robot.q_lower, self.robot.q_upper
+        ee = self._model.frames[self._frame].placement
+        last = pin.SE3(target.rotation, target.position).act(ee.inverse())
+        angles = np.linspace(lower[-1], upper[-1], LAST_JOINT_ANGLES)
+        found = franka_configurations(Pose(last.rotation, last.translation), angles, lower=lower, upper=upper)
+        order: Array = found[np.argsort(np.square(found - near).sum(axis=1), kind="stable")]
+        return order
 
     def _place(self, q: Array) -> Any:
         pin.forwardKinematics(self._model, self._data, q)
@@ -257,8 +262,3 @@ def _require_finite(target: Pose, q_seed: Array, error: float) -> None:
             f"Target position {target.position.tolist()}, rotation {target.rotation.tolist()} and seed "
             f"{q_seed.tolist()} must be finite."
         )
-
-
-def _rank(result: IkResult) -> tuple[bool, float]:
-    """Return a sort key: converged results are equal and come first, the others follow by error."""
-    return (False, 0.0) if result.converged else (True, result.position_error + result.rotation_error)
