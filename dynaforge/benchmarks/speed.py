@@ -9,16 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.benchmarks.episodes import bench_conditions, run_zero_residual, state_arrays
+from dynaforge.benchmarks.episodes import bench_conditions, run_planner_only, run_zero_residual, state_arrays
 from dynaforge.benchmarks.figure import Figure, spread, tracked
+from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
-from dynaforge.envs.world import ControlStep
+from dynaforge.envs.world import ControlStep, World
+from dynaforge.geometry import JointState, JointTrajectory, Pose
+from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner
 from dynaforge.sim import Condition, SceneState, SimScene
 from dynaforge.sim.bare import MotorCommands, motor_commands, replay_bare
 from dynaforge.tasks import Task
 
 MAX_RESET_SECONDS = 2e-3
 STEPS_BEFORE_RESET = 6
+MAX_MEAN_PLAN_SECONDS, MAX_PLAN_SECONDS = 3e-3, 20e-3
 MIN_RATIO = 0.65  # control steps per CPU-second, whole stack over bare simulator
 
 
@@ -54,6 +58,54 @@ def scene_reset(task: Task, *, rounds: int = 5, n: int = 40) -> list[Figure]:
             measured=f"median {1e3 * median(flat):.2f} ms, longest of {len(flat)} {1e3 * longest:.2f} ms",
             ok=longest <= MAX_RESET_SECONDS,
             raw={"cpu_seconds": seconds},
+        )
+    ]
+
+
+class TimedPlanner(GlobalPlanner):
+    """A global planner that keeps the CPU seconds of every plan, found or not."""
+
+    seconds: list[float]
+
+    def plan(self, start: JointState, target: Pose, *, rng: np.random.Generator) -> JointTrajectory:
+        """Plan as a global planner does.
+
+        Args:
+            start: As in `GlobalPlanner.plan`, as are the others.
+            target: Pose to reach.
+            rng: What the planner draws from.
+        """
+        begin = time.process_time()
+        try:
+            return super().plan(start, target, rng=rng)
+        finally:
+            self.seconds.append(time.process_time() - begin)
+
+
+def global_plans(task: Task, *, n: int = 40) -> list[Figure]:
+    """Time every global plan of planner-only episodes.
+
+    Args:
+        task: The task.
+        n: Number of episodes, spread over the difficulty range.
+    """
+    world = World(task)
+    robot, dt = world.scene.robot, task.scene.control_dt
+    planner = TimedPlanner(robot, ArmKinematics(robot), CollisionModel(robot), dt=dt)
+    planner.seconds = []
+    executor = PhaseExecutor(task, planner, control_dt=dt)
+    for condition in tracked(bench_conditions(task, n), "global plans", total=n):
+        run_planner_only(world, executor, condition)
+    world.close()
+    seconds = planner.seconds or [0.0]
+    mean, worst = sum(seconds) / len(seconds), max(seconds)
+    return [
+        Figure(
+            title="global plan",
+            target="mean <= 3 ms, worst <= 20 ms of CPU",
+            measured=f"mean {1e3 * mean:.2f} ms, worst of {len(planner.seconds)} {1e3 * worst:.2f} ms",
+            ok=mean <= MAX_MEAN_PLAN_SECONDS and worst <= MAX_PLAN_SECONDS,
+            raw={"cpu_seconds": planner.seconds},
         )
     ]
 

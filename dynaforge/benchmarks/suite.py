@@ -28,6 +28,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "zero-residual": lambda task, rounds: _of("determinism").zero_residual(task),
     "one-trajectory": lambda task, rounds: _of("determinism").one_trajectory(task),
     "reset": lambda task, rounds: _of("speed").scene_reset(task, rounds=rounds),
+    "global-plans": lambda task, rounds: _of("speed").global_plans(task),
     "control-steps": lambda task, rounds: _of("speed").control_rate(task, rounds=rounds),
     "vectorised": lambda task, rounds: _of("vector").vectorised(task, rounds=rounds),
     "trainer": lambda task, rounds: _of("training").trainer(task, rounds=rounds),

@@ -20,6 +20,8 @@ from dynaforge.sim.robot import RobotDescription
 Shape = Literal["box", "cylinder", "sphere"]
 
 N_SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
+LEVERS = np.array((1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.25))
+"""More than how far a joint moves the hand, in shares of what the first joints can (0.85 m per radian)."""
 WORLD = 0  # Pinocchio's index of the joint to which everything fixed is attached
 
 
@@ -120,10 +122,11 @@ class CollisionModel:
         Args:
             q0: One end, radians, shape (7,).
             q1: The other end, radians, shape (7,).
-            resolution: Largest change of any joint between neighbouring checks, radians.
+            resolution: Largest change of joints 1 to 4 between neighbouring checks, radians; those of the wrist, which
+                move the hand less, may change by `1 / LEVERS` of it.
             clear: Whether the clearance must be kept along the whole edge.
         """
-        n = max(1, math.ceil(float(np.abs(q1 - q0).max()) / resolution))
+        n = max(1, math.ceil(float((LEVERS * np.abs(q1 - q0)).max()) / resolution))
         fractions = bisection_order(n)
         path = q0 + fractions[:, None] * (q1 - q0)
         return not any(self.in_collision(q, clear=clear) for q in path)

@@ -43,3 +43,11 @@ def test_a_bare_loop_on_another_trajectory_misses_the_figure(monkeypatch):
     (figure,) = bench_speed.control_rate(CAN, rounds=1, n=1)
     assert not figure.ok
     assert "1 replays left the recorded trajectory" in figure.measured
+
+
+def test_every_global_plan_is_timed_and_a_slow_one_is_noticed(monkeypatch):
+    (figure,) = bench_speed.global_plans(get_task("can"), n=1)
+    assert len(figure.raw["cpu_seconds"]) == 1
+    monkeypatch.setattr(bench_speed, "MAX_PLAN_SECONDS", 1e-6)
+    (figure,) = bench_speed.global_plans(get_task("can"), n=1)
+    assert not figure.ok

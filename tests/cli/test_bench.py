@@ -99,6 +99,7 @@ QUICK = {
     "window": lambda task: bench_data.window(rounds=1),
     "replay": lambda task: bench_data.replay(task),
     "worker-killed": lambda task: bench_vector.worker_killed(task, rounds=1, n_envs=2),
+    "global-plans": lambda task: bench_speed.global_plans(task, n=2),
     "global-planner": lambda task: bench_limits.global_planner(task, n=2),
 }
 EXACT = ("zero-residual", "one-trajectory", "replay")  # whatever else runs on this machine
