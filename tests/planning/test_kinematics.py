@@ -149,3 +149,18 @@ def test_targets_that_are_not_finite_are_refused(
         (position if entry < 3 else rotation.reshape(-1))[entry - 3 if entry >= 3 else entry] = bad
         with pytest.raises(ValueError, match="must be finite"):
             kinematics.solve(Pose(rotation, position), robot.q_ready)
+
+
+def test_cold_search_without_a_step_from_the_seed_finds_the_pose_in_closed_form(
+    robot: RobotDescription, kinematics: ArmKinematics, rng: np.random.Generator
+) -> None:
+    for _ in range(20):
+        target = kinematics.forward(near_ready(robot, rng))
+        found, refused = (
+            kinematics.solve_cold(target, q_seed=robot.q_ready, valid=valid, max_iterations=0)
+            for valid in (lambda q: True, lambda q: False)
+        )
+        assert found.converged
+        assert refused.converged  # in reach, though in collision: so says the reason of a failed plan
+        again = kinematics.solve_cold(target, q_seed=robot.q_ready, max_iterations=0)
+        np.testing.assert_array_equal(found.q, again.q)
