@@ -41,10 +41,10 @@ def run_planner_only(world: World, executor: PhaseExecutor, condition: Condition
         condition: The condition.
     """
     state = world.reset(condition)
-    executor.reset(state, condition, world.reference)
+    executor.reset(state, condition, world.reference, sensed=world.sensed)
     while executor.outcome is None:
         state = world.execute(executor.action, None)
-        executor.advance(state, world.reference)
+        executor.advance(state, world.reference, sensed=world.sensed)
     return executor.outcome
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from dynaforge.demos.episode import Episode
 from dynaforge.sim import SceneState, SimScene
 from dynaforge.sim.camera import Visuals
+from dynaforge.sim.checks import check_choice
+from dynaforge.sim.delays import DelayLine, Delays, Sensing
 from dynaforge.tasks import Task
 from dynaforge.tasks.success import SuccessJudge
 
@@ -52,10 +54,13 @@ class Replayer:
     Args:
         task: The task of the episodes.
         visuals: Which visual shapes to load, as in `SimScene`; physics does not depend on it.
+        sensing: How the episodes were recorded; with "real" sensing, commands reach the robot late.
     """
 
-    def __init__(self, task: Task, *, visuals: Visuals = False) -> None:
+    def __init__(self, task: Task, *, visuals: Visuals = False, sensing: Sensing = "ideal") -> None:
+        check_choice("sensing", sensing, get_args(Sensing))
         self.task = task
+        self._sensing = sensing
         self.scene = SimScene(task.scene, visuals=visuals)
 
     def replay(self, episode: Episode) -> Replay:
@@ -85,8 +90,12 @@ class Replayer:
         if len(episode) and any(column is None for column in references):
             raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
         yield self.scene.reset(self.task.conditions.validate(episode.condition))
+        robot, late = self.scene.robot, 0
+        if self._sensing == "real":
+            late = Delays.drawn_by(episode.condition).action
+        commands = DelayLine([(robot.q_ready, robot.width_max)] * late)
         for q, width in zip(*references, strict=True) if len(episode) else ():
-            yield self.scene.step(np.array(q), float(width))
+            yield self.scene.step(*commands.push((np.array(q), float(width))))
 
     def recorded_states(self, episode: Episode) -> Iterator[SceneState]:
         """Simulate an episode again and yield the state at the beginning of each step, once it is compared.

@@ -40,6 +40,24 @@ _BODY = {
     for name, column in BODY_COLUMNS.items()
 }
 
+_SENSED = "Recorded with real sensing only: as planner and policy saw it. "
+_SENSED_ROBOT = {
+    "q": Field(meaning=_SENSED + "Joint positions.", shape=(7,), unit="rad"),
+    "dq": Field(meaning=_SENSED + "Joint velocities.", shape=(7,), unit="rad/s"),
+    "ee_position": Field(meaning=_SENSED + "End-effector position.", shape=(3,), unit="m", frame="world"),
+    "ee_quat_wxyz": Field(meaning=_SENSED + "End-effector orientation.", shape=(4,), frame="world"),
+    "width": Field(meaning=_SENSED + "Opening between the fingers.", unit="m"),
+}
+_SENSED_BODY = {
+    name: Field(
+        meaning=_SENSED + field.meaning.replace("its centre of mass", "its origin"),
+        shape=field.shape,
+        unit=field.unit,
+        frame=field.frame,
+    )
+    for name, field in _BODY.items()
+}
+
 SCHEMA: Mapping[str, Field] = MappingProxyType(
     {
         "time": Field(meaning="Simulated time since reset at which the step begins; increases.", unit="s"),
@@ -52,6 +70,8 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
         "width": Field(meaning="Measured opening between the fingers.", unit="m"),
         **{f"object/<name>/{key}": field for key, field in _BODY.items()},
         **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
+        **{f"sensed/{key}": field for key, field in _SENSED_ROBOT.items()},
+        **{f"sensed/<name>/{key}": field for key, field in _SENSED_BODY.items()},
         "planner_action": Field(
             meaning="a_plan: target pose, then gripper width.", shape=("A",), unit="m, -, m", frame="base"
         ),

@@ -14,6 +14,7 @@ from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.camera import Visuals, film_camera
 from dynaforge.sim.checks import check_choice
+from dynaforge.sim.delays import Sensing
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
 RenderMode = Literal["rgb_array", "human"]
@@ -26,6 +27,7 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         task: A task, or its name.
         render_mode: None, "rgb_array" or "human".
         visuals: Which visual shapes to load, as in `SimScene`, besides those that the render mode needs.
+        sensing: "ideal" or "real", as in `World`.
 
     Raises:
         ValueError: The task or the render mode is unknown.
@@ -34,12 +36,21 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
 
     metadata: dict[str, Any] = {"render_modes": list(get_args(RenderMode)), "render_fps": 30}
 
-    def __init__(self, task: str | Task, render_mode: RenderMode | None, *, visuals: Visuals = False) -> None:
+    def __init__(
+        self,
+        task: str | Task,
+        render_mode: RenderMode | None,
+        *,
+        visuals: Visuals = False,
+        sensing: Sensing = "ideal",
+    ) -> None:
         self.task = task if isinstance(task, Task) else get_task(task)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}
-        self.world = World(self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human")
+        self.world = World(
+            self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human", sensing=sensing
+        )
         self._closed = False
         self._film_camera = film_camera(self.task.camera)
         self._condition: Condition | None = None

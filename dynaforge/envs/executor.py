@@ -15,7 +15,7 @@ from dynaforge.sim.hand_target import raised_to
 from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
-from dynaforge.tasks.view import PhaseView, heading_frames
+from dynaforge.tasks.view import PhaseView, ViewTracker
 from dynaforge.tasks.words import evaluate_predicate, evaluate_target
 
 
@@ -63,48 +63,58 @@ class PhaseExecutor:
         self._lead_time = lead_time
         self._steps = 0  # since the entry of the running phase
 
-    def reset(self, state: SceneState, condition: Condition, reference: JointReference) -> None:
+    def reset(
+        self, state: SceneState, condition: Condition, reference: JointReference, *, sensed: SceneState | None = None
+    ) -> None:
         """Enter the first phase.
 
         Args:
             state: The scene at t = 0.
             condition: The condition of the episode.
             reference: The joint reference; a global plan starts from it.
+            sensed: The scene as targets see it; None where that is the truth.
         """
         self.outcome: Outcome | None = None
         self._seed = condition.seed
-        self._start, self._steps = state, 0
-        self._grasp: SceneState | None = None
+        self._steps = 0
         self._spent = [0] * len(self.task.phases)  # control steps in each phase, in all its visits
         self._checkpoint = 0
-        self._frames = heading_frames(state, None)
-        self._enter(0, state, reference)
+        self._true = ViewTracker(state, lead_time=self._lead_time)
+        self._seen = self._true
+        if sensed is not None and sensed is not state:
+            self._seen = ViewTracker(sensed, lead_time=self._lead_time)
+        self._enter(0, reference)
 
-    def advance(self, state: SceneState, reference: JointReference) -> None:
-        """Evaluate the predicates on the measured state, then plan the next control step or end the episode.
+    def advance(self, state: SceneState, reference: JointReference, *, sensed: SceneState | None = None) -> None:
+        """Evaluate the predicates on the true state, then plan the next control step on the sensed one, or end.
 
         Args:
             state: The scene after the control step.
             reference: The joint reference; a global plan starts from it.
+            sensed: The scene as targets see it; None where that is the truth, which is decided at the reset.
         """
-        self._frames = heading_frames(state, self._frames)
+        self._true.push(state)
+        if self._seen is not self._true:
+            assert sensed is not None, "the reset was given a sensed scene, this control step was not"
+            self._seen.push(sensed)
         self._steps += 1
         self._spent[self.index] += 1
-        view, phase = self._view(state), self.phase
+        view, phase = self._true.view(), self.phase
         for reason, impossible in (*phase.fails, *self.task.endings):
             if self._holds(reason, impossible, view):
                 return self._fail(reason)
         if self._hold.push(self._holds("done", phase.done, view)):
             if phase.takes_hold:
-                self._grasp = state
+                self._true.take_hold()
+                self._seen.take_hold()
             if self.index + 1 == len(self.task.phases):
                 return self._end()
-            return self._enter(self.index + 1, state, reference)
+            return self._enter(self.index + 1, reference)
         if self._spent[self.index] * self._dt >= phase.timeout - 1e-9:
             return self._fail(phase.failure)
         if phase.retry is not None and self._holds("retry", phase.retry[1], view):
             names = [each.name for each in self.task.phases]
-            return self._enter(names.index(phase.retry[0]), state, reference)
+            return self._enter(names.index(phase.retry[0]), reference)
         self._plan(view)
         return None
 
@@ -120,30 +130,31 @@ class PhaseExecutor:
 
     @property
     def frame(self) -> Pose:
-        """Heading frame `T_world_heading` of the running phase's object."""
-        return self._frames[self.phase.target.object]
+        """Heading frame `T_world_heading` of the running phase's object, as sensed."""
+        return self._seen.frames[self.phase.target.object]
 
     @property
     def frozen(self) -> bool:
         """Whether the target no longer follows the object."""
         return self._frozen
 
-    def _enter(self, index: int, state: SceneState, reference: JointReference) -> None:
+    def _enter(self, index: int, reference: JointReference) -> None:
         speed = self.task.phases[index].ramp
-        left = None if speed is None or not self._steps else self._now(self._view(state))
+        left = None if speed is None or not self._steps else self._now()
         self.index, self._checkpoint = index, max(self._checkpoint, index)
         self._place = f"Phase {self.phase.name!r}"  # which the message of a mistake in one of its words begins with
         self._steps = 0
         self._hold = Hold(self.phase, control_dt=self._dt)
-        self._entry, self._entry_frames = state, self._frames
+        self._true.enter()
+        self._seen.enter()
         self._trajectory: JointTrajectory | None = None
         self._frozen = False
         self._ramp: Ramp | None = None
-        view = self._view(state)
+        view = self._true.view()
         if speed is not None and left is not None:
-            self._ramp = Ramp.between(left, self._aim(view), self.frame, speed)
+            self._ramp = Ramp.between(left, self._aim(self._seen.view()), self.frame, speed)
         if self.phase.mode is Mode.GLOBAL:
-            self._target = self._aim(view)
+            self._target = self._aim(self._seen.view())
             try:
                 rng = np.random.default_rng((self._seed, index))
                 self._trajectory = self._planner.plan(reference.joints, self._target, rng=rng)
@@ -155,19 +166,20 @@ class PhaseExecutor:
 
     def _plan(self, view: PhaseView) -> None:
         phase, sample = self.phase, None
+        seen = view if self._seen is self._true else self._seen.view()
         if self._trajectory is not None:
             sample = self._trajectory[min(self._steps + 1, len(self._trajectory) - 1)]
         elif not self._frozen:
-            self._target = self._aim(view)
+            self._target = self._aim(seen)
             until = phase.track_until
             self._frozen = until is not None and self._holds("track_until", until, view)
         target = self._ramped(self._target, self._steps + 1)
-        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, self._lowest(view))
+        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, self._lowest(seen))
 
-    def _now(self, view: PhaseView) -> Pose:
+    def _now(self) -> Pose:
         """Return where the running phase wants the hand now, at the end of a control step."""
         settled = self._frozen or self._trajectory is not None
-        return self._ramped(self._target if settled else self._aim(view), self._steps)
+        return self._ramped(self._target if settled else self._aim(self._seen.view()), self._steps)
 
     def _ramped(self, target: Pose, steps: int) -> Pose:
         return target if self._ramp is None else self._ramp.applied(target, self.frame, steps * self._dt)
@@ -175,24 +187,13 @@ class PhaseExecutor:
     def _holds(self, role: str, predicate: Predicate, view: PhaseView) -> bool:
         return evaluate_predicate(self._place, role, predicate, view, self._target)
 
-    def _aim(self, view: PhaseView) -> Pose:
-        return raised_to(evaluate_target(self._place, self.phase.target, view), self._lowest(view))
+    def _aim(self, seen: PhaseView) -> Pose:
+        return raised_to(evaluate_target(self._place, self.phase.target, seen), self._lowest(seen))
 
-    def _lowest(self, view: PhaseView) -> float:
+    def _lowest(self, seen: PhaseView) -> float:
         """Return the least height of the end effector in the world, metres."""
         lowest, name = self.phase.lowest, self.phase.target.object
-        return -math.inf if lowest is None else lowest + float(view.state.objects[name].pose.position[2])
-
-    def _view(self, state: SceneState) -> PhaseView:
-        return PhaseView(
-            state=state,
-            entry=self._entry,
-            start=self._start,
-            frames=self._frames,
-            entry_frames=self._entry_frames,
-            grasp=self._grasp,
-            lead_time=self._lead_time,
-        )
+        return -math.inf if lowest is None else lowest + float(seen.state.objects[name].pose.position[2])
 
     def _fail(self, reason: str) -> None:
         self._end(failure=reason)

@@ -15,6 +15,7 @@ from dynaforge.envs.residual import ResidualScale
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_choice, check_number
+from dynaforge.sim.delays import Sensing
 from dynaforge.tasks import FRAMES, Frame, Task, get_task
 
 Observation = NDArray[np.float32]
@@ -47,6 +48,7 @@ class ResidualEnv(WorldEnv):
         render_mode: None, "rgb_array" or "human".
         lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
         residual_frame: "target" or "world"; None takes the task's own.
+        sensing: "ideal" or "real", as in `World`.
 
     Raises:
         ValueError: The task, gate mode, render mode or frame is unknown.
@@ -61,11 +63,12 @@ class ResidualEnv(WorldEnv):
         render_mode: RenderMode | None = None,
         lead_time: float = 0.0,
         residual_frame: Frame | None = None,
+        sensing: Sensing = "ideal",
     ) -> None:
         check_choice("gate_mode", gate_mode, GATE_MODES)
         check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, *FRAMES))
-        super().__init__(task, render_mode)
+        super().__init__(task, render_mode, sensing=sensing)
         self.gate_mode = gate_mode
         self.executor = PhaseExecutor(
             self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
@@ -145,10 +148,10 @@ class ResidualEnv(WorldEnv):
 
     def _begin(self, condition: Condition) -> None:
         state = self.world.reset(condition)
-        self.observer.reset(state)
+        self.observer.reset(self.world.sensed)
         self._last_action = np.zeros(self.residual_scale.size)
         self._steps_left = 0
-        self.executor.reset(state, condition, self.world.reference)
+        self.executor.reset(state, condition, self.world.reference, sensed=self.world.sensed)
         self._fresh = False
 
     def _run_decision(self, *, at_most: int) -> None:
@@ -169,8 +172,8 @@ class ResidualEnv(WorldEnv):
 
     def _control_step(self, residual: Array | None) -> None:
         state = self.world.execute(self.executor.action, residual)
-        self.observer.push(state)
-        self.executor.advance(state, self.world.reference)
+        self.observer.push(self.world.sensed)
+        self.executor.advance(state, self.world.reference, sensed=self.world.sensed)
 
     def _observation(self) -> Observation:
         return self.observer.build(self.executor, self._last_action)

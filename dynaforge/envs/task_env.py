@@ -12,6 +12,7 @@ from dynaforge.envs.base import RenderMode, WorldEnv
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim import HandTarget, SceneState
 from dynaforge.sim.camera import Visuals
+from dynaforge.sim.delays import Sensing
 from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.action import ActionLayout, ActionMode, RotationForm
@@ -40,6 +41,7 @@ class TaskEnv(WorldEnv):
             seventh degree of freedom.
         render_mode: None, "rgb_array" or "human".
         visuals: "plain" loads the shapes that the cameras of an export see (`generators.bridge`).
+        sensing: "ideal" or "real", as in `World`; observations are what is sensed, success is judged by the truth.
 
     Raises:
         ValueError: The task, action mode, rotation or render mode is unknown.
@@ -54,9 +56,10 @@ class TaskEnv(WorldEnv):
         elbow: bool = False,
         render_mode: RenderMode | None = None,
         visuals: Visuals = False,
+        sensing: Sensing = "ideal",
     ) -> None:
         self.action_layout = ActionLayout(action_mode, rotation, elbow)
-        super().__init__(task, render_mode, visuals=visuals)
+        super().__init__(task, render_mode, visuals=visuals, sensing=sensing)
         self.action_mode = action_mode
         robot = self.world.scene.robot
         low, high = self.action_layout.bounds(robot.q_lower, robot.q_upper, robot.width_max)
@@ -145,7 +148,7 @@ class TaskEnv(WorldEnv):
         return Outcome(success=not failure, checkpoint=0 if failure else n, n_checkpoints=n, failure=failure)
 
     def _observation(self) -> Observation:
-        return observe_flat(self._state, self.task)
+        return observe_flat(self.world.sensed, self.task)
 
 
 def observe_flat(state: SceneState, task: Task) -> Array:

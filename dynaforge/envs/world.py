@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from dynaforge.envs.executor import PlannedAction
 from dynaforge.envs.residual import gated, project, requested_target
+from dynaforge.envs.sensing import Sensor
 from dynaforge.geometry import Array, one_line
 from dynaforge.planning import (
     ArmKinematics,
@@ -21,7 +23,8 @@ from dynaforge.planning import (
 )
 from dynaforge.sim import Condition, HandTarget, SceneState, SimScene
 from dynaforge.sim.camera import Visuals
-from dynaforge.sim.checks import check_kind
+from dynaforge.sim.checks import check_choice, check_kind
+from dynaforge.sim.delays import DelayLine, Delays, Sensing
 from dynaforge.tasks import Task
 
 
@@ -30,16 +33,19 @@ class ControlStep:
     """All that is recorded of one control step.
 
     Attributes:
-        before: The measured scene at its beginning.
-        after: The measured scene at its end.
+        before: The true scene at its beginning.
+        after: The true scene at its end.
+        sensed: The scene at its beginning as planner and policy saw it; with ideal sensing it is `before`.
         planned: a_plan of Eq. 5; None when an external policy acts.
         residual: The residual in physical units as applied (m * scale * a_res), shape (7,).
         requested: The target requested of the hand.
-        reference: The joint reference that the limits allow, the projection of Eq. 5.
+        reference: The joint reference that the limits allow, the projection of Eq. 5. With real sensing, it reaches
+            the robot up to one control step later.
     """
 
     before: SceneState
     after: SceneState
+    sensed: SceneState
     planned: PlannedAction | None
     residual: Array
     requested: HandTarget
@@ -49,16 +55,23 @@ class ControlStep:
 
 
 class World:
-    """A task's scene with the planners that drive its robot.
+    """A task's scene with the planners that drive its robot, and what they and a policy see of it.
 
     Args:
         task: The task.
         visuals: Which visual shapes to load for rendering, as in `SimScene`.
         gui: Whether to open Bullet's window.
+        sensing: "ideal": planner and policy see the truth at once. "real": late and blurred (`envs.sensing`), and
+            commands reach the robot late.
+
+    Attributes:
+        state: The true scene now; what is judged.
+        sensed: The scene as planner and policy see it; with ideal sensing it is `state`.
     """
 
-    def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
+    def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False, sensing: Sensing = "ideal") -> None:
         check_kind("task", task, Task)
+        check_choice("sensing", sensing, get_args(Sensing))
         self.task = task
         self.scene = SimScene(task.scene, visuals=visuals, gui=gui)
         robot, dt = self.scene.robot, task.scene.control_dt
@@ -68,6 +81,7 @@ class World:
         self.planner = GlobalPlanner(robot, self.kinematics, CollisionModel(robot), dt=dt)
         self.listeners: list[Callable[[ControlStep], None]] = []
         self._no_residual = np.zeros(7)
+        self._sensor = Sensor(dt) if sensing == "real" else None
 
     def reset(self, condition: Condition) -> SceneState:
         """Reset the scene and the joint reference to t = 0 of a condition.
@@ -79,6 +93,9 @@ class World:
         robot = self.scene.robot
         self.reference = self.local.reset(robot.q_ready, robot.width_max)
         self.follower.reset(robot.q_ready, robot.width_max)
+        real = self._sensor is not None
+        self._commands = DelayLine([self.reference] * (Delays.drawn_by(condition).action if real else 0))
+        self.sensed = self._sensor.reset(self.state, condition) if self._sensor is not None else self.state
         return self.state
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
@@ -132,13 +149,16 @@ class World:
     def _step(
         self, reference: JointReference, requested: HandTarget, planned: PlannedAction | None, residual: Array
     ) -> SceneState:
-        before = self.state
+        before, sensed = self.state, self.sensed
         self.reference = reference
-        self.state = self.scene.step(reference.joints.q, reference.width)
+        arrived = self._commands.push(reference)
+        self.state = self.scene.step(arrived.joints.q, arrived.width)
+        self.sensed = self._sensor.push(self.state) if self._sensor is not None else self.state
         if self.listeners:
             record = ControlStep(
                 before=before,
                 after=self.state,
+                sensed=sensed,
                 planned=planned,
                 residual=residual,
                 requested=requested,

@@ -84,7 +84,7 @@ class ExportBridge:
         """
         if self._last_quats is None:
             raise RuntimeError("observation() before reset(): call reset(condition) first.")
-        state = self.env.world.state
+        state = self.env.world.sensed
         steps = measured([state], self.env.task)
         robot, objects = robot_columns(steps), object_columns(steps)
         observation = {name: self._with_steady_sign(name, column[0]) for name, column in (robot | objects).items()}

@@ -56,6 +56,8 @@ class Recorder:
             "width_reference": [s.reference.width for s in steps],
             "reward": [0.0] * (len(steps) - 1) + [final_reward],
         }
+        if any(s.sensed is not s.before for s in steps):
+            columns |= _sensed([s.sensed for s in steps])
         planned = [s.planned for s in steps if s.planned is not None]
         if planned:
             columns |= {
@@ -64,6 +66,21 @@ class Recorder:
                 "planner_action": [action.target.flat() for action in planned],
             }
         return {name: np.asarray(column) for name, column in columns.items()}
+
+
+def _sensed(states: Sequence[SceneState]) -> dict[str, Any]:
+    """Return the columns of scenes as planner and policy saw them."""
+    columns: dict[str, Any] = {
+        "sensed/q": [s.q for s in states],
+        "sensed/dq": [s.dq for s in states],
+        "sensed/ee_position": [s.ee.position for s in states],
+        "sensed/ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
+        "sensed/width": [s.width for s in states],
+    }
+    for name in states[0].objects:
+        bodies = [s.objects[name].columns for s in states]
+        columns |= {f"sensed/{name}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
+    return columns
 
 
 def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:

@@ -54,7 +54,7 @@ class Repeater:
     def _run(self, episode: Episode, residuals: NDArray[np.float64]) -> Outcome:
         world, executor = self._env.world, self._env.executor
         state = world.reset(episode.condition)
-        executor.reset(state, episode.condition, world.reference)
+        executor.reset(state, episode.condition, world.reference, sensed=world.sensed)
         scale, action = self._env.residual_scale, np.zeros(self._env.residual_scale.size)
         steps_left = 0  # of the decision
         for recorded in residuals:
@@ -66,7 +66,7 @@ class Repeater:
                 action = scale.nearest_action(recorded, executor)
                 steps_left = self._env.task.residual.decision_steps
             state = world.execute(executor.action, scale.physical(action, executor))
-            executor.advance(state, world.reference)
+            executor.advance(state, world.reference, sensed=world.sensed)
             steps_left = max(steps_left - 1, 0)
         return executor.outcome or Outcome(
             success=False,

@@ -43,6 +43,50 @@ class PhaseView:
         return grasp.ee.inverse() @ grasp.objects[name].pose
 
 
+class ViewTracker:
+    """Follows the scene through the phases of an episode, for the views that it offers.
+
+    Args:
+        start: The scene at t = 0, where the first phase is entered.
+        lead_time: As in `PhaseView`.
+
+    Attributes:
+        frames: As in `PhaseView`.
+    """
+
+    def __init__(self, start: SceneState, *, lead_time: float = 0.0) -> None:
+        self._state = self._start = start
+        self._lead_time = lead_time
+        self._grasp: SceneState | None = None
+        self.frames: Mapping[str, Pose] = heading_frames(start, None)
+        self.enter()
+
+    def push(self, state: SceneState) -> None:
+        """Take in the scene after a control step."""
+        self._state = state
+        self.frames = heading_frames(state, self.frames)
+
+    def enter(self) -> None:
+        """Note that a phase is entered with the latest scene."""
+        self._entry, self._entry_frames = self._state, self.frames
+
+    def take_hold(self) -> None:
+        """Note that the latest scene shows the grasped object in the hand."""
+        self._grasp = self._state
+
+    def view(self) -> PhaseView:
+        """Return the latest scene, as the running phase sees it."""
+        return PhaseView(
+            state=self._state,
+            entry=self._entry,
+            start=self._start,
+            frames=self.frames,
+            entry_frames=self._entry_frames,
+            grasp=self._grasp,
+            lead_time=self._lead_time,
+        )
+
+
 def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> dict[str, Pose]:
     """Return the heading frame of every object; `previous` are those of the last control step, None at the start."""
     return {

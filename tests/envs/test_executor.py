@@ -137,7 +137,8 @@ def test_success_held_for_less_than_a_quarter_of_a_second_is_none() -> None:
 def test_a_near_miss_of_the_can_never_becomes_a_success(near_miss: SceneState) -> None:
     executor = PhaseExecutor(CAN, FakePlanner(), control_dt=DT)  # type: ignore[arg-type]
     executor.reset(scene(), CONDITION, REFERENCE)
-    executor._enter(4, scene(touching=(True, True)), REFERENCE)
+    executor._true.push(scene(touching=(True, True)))
+    executor._enter(4, REFERENCE)
     while executor.outcome is None:
         executor.advance(near_miss, REFERENCE)
     assert executor.outcome == failed(4, "slipped", "lift")
@@ -313,13 +314,13 @@ def test_the_object_in_the_hand_is_measured_where_a_phase_takes_hold() -> None:
         phase("grasp", Grasped("can"), takes_hold=True), phase("lift", Lifted("can", 0.1)), phase("keep", Fallen("can"))
     )
     executor = start(task)
-    assert executor._view(scene()).grasp is None
+    assert executor._seen.view().grasp is None
     executor.advance(GRASPED, REFERENCE)
     executor.advance(UP, REFERENCE)
     assert executor.phase.name == "keep"
-    assert executor._view(UP).grasp is GRASPED
+    assert executor._seen.view().grasp is GRASPED
     executor.reset(scene(), CONDITION, REFERENCE)
-    assert executor._view(scene()).grasp is None, "an episode does not inherit the grasp of the one before"
+    assert executor._seen.view().grasp is None, "an episode does not inherit the grasp of the one before"
 
 
 def heights(executor: PhaseExecutor, *, x: float = 0.5, steps: int) -> list[float]:
