@@ -20,7 +20,7 @@ from dynaforge.sim.robot import RobotDescription
 Shape = Literal["box", "cylinder", "sphere"]
 
 N_SIZES = {"box": 3, "cylinder": 2, "sphere": 1}
-LEVERS = np.array((1.0, 1.0, 1.0, 1.0, 0.5, 0.5, 0.25))
+LEVERS = np.array((1.0, 1.0, 1.0, 1.0, 0.4, 0.4, 0.2))
 """More than how far a joint moves the hand, in shares of what the first joints can (0.85 m per radian)."""
 WORLD = 0  # Pinocchio's index of the joint to which everything fixed is attached
 

@@ -181,7 +181,7 @@ class ArmKinematics:
         *,
         q_seed: Array,
         valid: Callable[[Array], bool] = lambda q: True,
-        max_iterations: int = 25,
+        max_iterations: int = 15,
     ) -> IkResult:
         """Find a configuration that reaches a target: near a seed, or else near the seed and the ready pose.
 
