@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from dynaforge.demos.episode import Episode
 from dynaforge.sim import SceneState, SimScene
 from dynaforge.sim.camera import Visuals
-from dynaforge.sim.checks import check_choice
-from dynaforge.sim.delays import DelayLine, Delays, Sensing
+from dynaforge.sim.delays import DelayLine, Delays
 from dynaforge.tasks import Task
 from dynaforge.tasks.success import SuccessJudge
 
@@ -52,16 +51,13 @@ class Replayer:
     """Simulates recorded joint references in a scene of its own; use one for many episodes of a task.
 
     Args:
-        task: The task of the episodes.
+        task: The task of the episodes, in the setting in which they were recorded.
         visuals: Which visual shapes to load, as in `SimScene`; physics does not depend on it.
-        sensing: How the episodes were recorded; with "real" sensing, commands reach the robot late.
     """
 
-    def __init__(self, task: Task, *, visuals: Visuals = False, sensing: Sensing = "ideal") -> None:
-        check_choice("sensing", sensing, get_args(Sensing))
+    def __init__(self, task: Task, *, visuals: Visuals = False) -> None:
         self.task = task
-        self._sensing = sensing
-        self.scene = SimScene(task.scene, visuals=visuals)
+        self.scene = SimScene(task.scene, reflex=task.setting.reflex, visuals=visuals)
 
     def replay(self, episode: Episode) -> Replay:
         """Simulate an episode again and compare every recorded state.
@@ -91,7 +87,7 @@ class Replayer:
             raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
         yield self.scene.reset(self.task.conditions.validate(episode.condition))
         robot, late = self.scene.robot, 0
-        if self._sensing == "real":
+        if self.task.setting.sensing == "real":
             late = Delays.drawn_by(episode.condition).action
         commands = DelayLine([(robot.q_ready, robot.width_max)] * late)
         for q, width in zip(*references, strict=True) if len(episode) else ():

@@ -14,7 +14,7 @@ from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.camera import Visuals, film_camera
 from dynaforge.sim.checks import check_choice
-from dynaforge.sim.delays import Sensing
+from dynaforge.sim.setting import Physics, Reflex, Sensing
 from dynaforge.tasks import ConditionSpace, Task, get_task
 
 RenderMode = Literal["rgb_array", "human"]
@@ -27,10 +27,10 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         task: A task, or its name.
         render_mode: None, "rgb_array" or "human".
         visuals: Which visual shapes to load, as in `SimScene`, besides those that the render mode needs.
-        sensing: "ideal" or "real", as in `World`.
+        reflex, physics, sensing: The setting, as `Setting` explains it; None takes the task's own.
 
     Raises:
-        ValueError: The task or the render mode is unknown.
+        ValueError: The task, the render mode or a part of the setting is unknown.
         OSError: Mode "human" without a display.
     """
 
@@ -42,15 +42,16 @@ class WorldEnv(gym.Env[NDArray[Any], NDArray[np.float32]]):
         render_mode: RenderMode | None,
         *,
         visuals: Visuals = False,
-        sensing: Sensing = "ideal",
+        reflex: Reflex | None = None,
+        physics: Physics | None = None,
+        sensing: Sensing | None = None,
     ) -> None:
-        self.task = task if isinstance(task, Task) else get_task(task)
+        task = task if isinstance(task, Task) else get_task(task)
+        self.task = task.under(reflex=reflex, physics=physics, sensing=sensing)
         check_choice("render_mode", render_mode, (None, *self.metadata["render_modes"]))
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.task.scene.control_dt)}
-        self.world = World(
-            self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human", sensing=sensing
-        )
+        self.world = World(self.task, visuals=visuals or render_mode == "rgb_array", gui=render_mode == "human")
         self._closed = False
         self._film_camera = film_camera(self.task.camera)
         self._condition: Condition | None = None

@@ -15,7 +15,7 @@ from dynaforge.envs.residual import ResidualScale
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_choice, check_number
-from dynaforge.sim.delays import Sensing
+from dynaforge.sim.setting import Physics, Reflex, Sensing
 from dynaforge.tasks import FRAMES, Frame, Task, get_task
 
 Observation = NDArray[np.float32]
@@ -48,10 +48,10 @@ class ResidualEnv(WorldEnv):
         render_mode: None, "rgb_array" or "human".
         lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
         residual_frame: "target" or "world"; None takes the task's own.
-        sensing: "ideal" or "real", as in `World`.
+        reflex, physics, sensing: The setting, as `Setting` explains it; None takes the task's own.
 
     Raises:
-        ValueError: The task, gate mode, render mode or frame is unknown.
+        ValueError: The task, gate mode, render mode, frame or a part of the setting is unknown.
         OSError: Mode "human" without a display.
     """
 
@@ -63,12 +63,14 @@ class ResidualEnv(WorldEnv):
         render_mode: RenderMode | None = None,
         lead_time: float = 0.0,
         residual_frame: Frame | None = None,
-        sensing: Sensing = "ideal",
+        reflex: Reflex | None = None,
+        physics: Physics | None = None,
+        sensing: Sensing | None = None,
     ) -> None:
         check_choice("gate_mode", gate_mode, GATE_MODES)
         check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, *FRAMES))
-        super().__init__(task, render_mode, sensing=sensing)
+        super().__init__(task, render_mode, reflex=reflex, physics=physics, sensing=sensing)
         self.gate_mode = gate_mode
         self.executor = PhaseExecutor(
             self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time

@@ -12,7 +12,7 @@ from dynaforge.envs.base import RenderMode, WorldEnv
 from dynaforge.geometry import Array, Pose
 from dynaforge.sim import HandTarget, SceneState
 from dynaforge.sim.camera import Visuals
-from dynaforge.sim.delays import Sensing
+from dynaforge.sim.setting import Physics, Reflex, Sensing
 from dynaforge.sim.state import BODY_COLUMNS
 from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.action import ActionLayout, ActionMode, RotationForm
@@ -41,10 +41,10 @@ class TaskEnv(WorldEnv):
             seventh degree of freedom.
         render_mode: None, "rgb_array" or "human".
         visuals: "plain" loads the shapes that the cameras of an export see (`generators.bridge`).
-        sensing: "ideal" or "real", as in `World`; observations are what is sensed, success is judged by the truth.
+        reflex, physics, sensing: The setting, as `Setting` explains it; None takes the task's own.
 
     Raises:
-        ValueError: The task, action mode, rotation or render mode is unknown.
+        ValueError: The task, action mode, rotation, render mode or a part of the setting is unknown.
     """
 
     def __init__(
@@ -56,10 +56,12 @@ class TaskEnv(WorldEnv):
         elbow: bool = False,
         render_mode: RenderMode | None = None,
         visuals: Visuals = False,
-        sensing: Sensing = "ideal",
+        reflex: Reflex | None = None,
+        physics: Physics | None = None,
+        sensing: Sensing | None = None,
     ) -> None:
         self.action_layout = ActionLayout(action_mode, rotation, elbow)
-        super().__init__(task, render_mode, visuals=visuals, sensing=sensing)
+        super().__init__(task, render_mode, visuals=visuals, reflex=reflex, physics=physics, sensing=sensing)
         self.action_mode = action_mode
         robot = self.world.scene.robot
         low, high = self.action_layout.bounds(robot.q_lower, robot.q_upper, robot.width_max)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from dynaforge.planning import (
 )
 from dynaforge.sim import Condition, HandTarget, SceneState, SimScene
 from dynaforge.sim.camera import Visuals
-from dynaforge.sim.checks import check_choice, check_kind
-from dynaforge.sim.delays import DelayLine, Delays, Sensing
+from dynaforge.sim.checks import check_kind
+from dynaforge.sim.delays import DelayLine, Delays
 from dynaforge.tasks import Task
 
 
@@ -58,22 +57,20 @@ class World:
     """A task's scene with the planners that drive its robot, and what they and a policy see of it.
 
     Args:
-        task: The task.
+        task: The task. Its setting says what stops the robot, and what is sensed. "ideal": planner and policy see the
+            truth at once. "real": late and blurred (`envs.sensing`), and commands reach the robot late.
         visuals: Which visual shapes to load for rendering, as in `SimScene`.
         gui: Whether to open Bullet's window.
-        sensing: "ideal": planner and policy see the truth at once. "real": late and blurred (`envs.sensing`), and
-            commands reach the robot late.
 
     Attributes:
         state: The true scene now; what is judged.
         sensed: The scene as planner and policy see it; with ideal sensing it is `state`.
     """
 
-    def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False, sensing: Sensing = "ideal") -> None:
+    def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
         check_kind("task", task, Task)
-        check_choice("sensing", sensing, get_args(Sensing))
         self.task = task
-        self.scene = SimScene(task.scene, visuals=visuals, gui=gui)
+        self.scene = SimScene(task.scene, reflex=task.setting.reflex, visuals=visuals, gui=gui)
         robot, dt = self.scene.robot, task.scene.control_dt
         self.kinematics = ArmKinematics(robot)
         self.local = LocalPlanner(robot, self.kinematics, dt=dt)
@@ -81,7 +78,7 @@ class World:
         self.planner = GlobalPlanner(robot, self.kinematics, CollisionModel(robot), dt=dt)
         self.listeners: list[Callable[[ControlStep], None]] = []
         self._no_residual = np.zeros(7)
-        self._sensor = Sensor(dt) if sensing == "real" else None
+        self._sensor = Sensor(dt) if task.setting.sensing == "real" else None
 
     def reset(self, condition: Condition) -> SceneState:
         """Reset the scene and the joint reference to t = 0 of a condition.

@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 from dynaforge.sim.checks import check_kind, check_name, check_whole, is_number, quoted
+from dynaforge.sim.hidden import checked_hidden
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +25,17 @@ class Condition:
         seed: Seed of everything that `values` leaves open.
         difficulty: Nominal difficulty in the task's own unit (for Can the launch speed, m/s).
         values: The parameters of the scene by name, SI units.
+        hidden: Physics that is not observed, by the names of `sim.hidden.HIDDEN`; nominal where none is given.
+
+    Raises:
+        ValueError: A field is of the wrong type, or a hidden field is unknown or negative.
     """
 
     task: str
     seed: int
     difficulty: float
     values: Mapping[str, float]
+    hidden: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_name("Condition: task", self.task)
@@ -47,16 +53,19 @@ class Condition:
         object.__setattr__(self, "difficulty", float(self.difficulty) + 0.0)
         values = {name: float(value) + 0.0 for name, value in sorted(self.values.items())}
         object.__setattr__(self, "values", MappingProxyType(values))
+        object.__setattr__(self, "hidden", MappingProxyType(checked_hidden("Condition", self.hidden)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Condition, (self.task, self.seed, self.difficulty, dict(self.values))
+        return Condition, (self.task, self.seed, self.difficulty, dict(self.values), dict(self.hidden))
 
     def __hash__(self) -> int:
         return hash(self.id)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that JSON stores without loss."""
-        return {"task": self.task, "seed": self.seed, "difficulty": self.difficulty, "values": dict(self.values)}
+        data = {"task": self.task, "seed": self.seed, "difficulty": self.difficulty, "values": dict(self.values)}
+        # Left out where empty: a condition without hidden fields keeps the id that it had before there were any.
+        return data | ({"hidden": dict(self.hidden)} if self.hidden else {})
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> Condition:
@@ -66,9 +75,10 @@ class Condition:
             ValueError: A field is missing or unknown.
         """
         check_kind("Condition", data, Mapping)
-        known = {"task", "seed", "difficulty", "values"}
-        if missing := known - set(data):
-            raise ValueError(f"Condition lacks {sorted(missing)}; it needs {sorted(known)}.")
+        needed = {"task", "seed", "difficulty", "values"}
+        known = needed | {"hidden"}
+        if missing := needed - set(data):
+            raise ValueError(f"Condition lacks {sorted(missing)}; it needs {sorted(needed)}.")
         if unknown := set(data) - known:
             raise ValueError(f"Condition has unknown fields {sorted(unknown, key=str)}; known are {sorted(known)}.")
         return Condition(**data)

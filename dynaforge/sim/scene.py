@@ -24,6 +24,7 @@ from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.shapes import LinkName, VisualShape, link_poses, visual_shapes
 from dynaforge.sim.spec import Launch, Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
+from dynaforge.sim.surfaces import Surfaces
 
 FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers exceeds the motor's own limit by up to 0.2 %
 PARKED_STEPS = 2  # substeps at each reset; in the second, Bullet finds its list of pairs empty
@@ -74,6 +75,7 @@ class SimScene:
         self._stop_speeds = self.robot.stop_speed * self.robot.dq_max
         self._bullet = load_scene(spec, self.robot, visuals=visuals, gui=gui)
         self.names = tuple(self._bullet.bodies)
+        self._surfaces = Surfaces(self._bullet)
         self._saved = self._bullet.client.saveState()
         self._bind_hot_calls()
         client, body, joints = self._bullet.client, self._bullet.robot.body, self._bullet.robot.arm
@@ -131,12 +133,14 @@ class SimScene:
             self._step_physics()
         self._register_bodies(colliding=True)
         client.restoreState(self._saved)
+        hidden = condition.hidden
+        self._surfaces.apply(hidden)
         for name, start in self.spec.starts(condition).items():
             if isinstance(start, Placement):
                 self._bullet.fixtures[name].place(start)
             else:
-                self._launch(name, start)
-        self._arm.reset()
+                self._launch(name, start, start.mass * hidden.get("mass", 1.0))
+        self._arm.reset(hidden.get("joint_gain", 1.0))
         self._watch.reset()
         self._time = 0.0
         return self.observe()
@@ -153,11 +157,11 @@ class SimScene:
         for body, link, kind in self._colliding:
             self._register(body, link, *(kind if colliding else WITH_NOTHING))
 
-    def _launch(self, name: str, launch: Launch) -> None:
+    def _launch(self, name: str, launch: Launch, mass: float) -> None:
         client, free = self._bullet.client, self._bullet.free[name]
         w, x, y, z = launch.pose.quat_wxyz.tolist()
-        inertia = [launch.mass * i for i in free.inertia_per_kg]
-        client.changeDynamics(free.body, -1, mass=launch.mass, localInertiaDiagonal=inertia)
+        inertia = [mass * i for i in free.inertia_per_kg]
+        client.changeDynamics(free.body, -1, mass=mass, localInertiaDiagonal=inertia)
         client.resetBasePositionAndOrientation(free.body, launch.pose.position.tolist(), (x, y, z, w))
         client.resetBaseVelocity(free.body, launch.velocity.tolist(), launch.angular_velocity.tolist())
         if unknown := [joint for joint in launch.joint_speeds if joint not in free.joints]:

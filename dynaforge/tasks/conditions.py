@@ -24,6 +24,7 @@ from dynaforge.sim.checks import (
     is_whole,
     quoted,
 )
+from dynaforge.sim.hidden import HIDDEN
 
 Stream = Literal["train", "val", "test"]
 STREAMS: tuple[Stream, ...] = get_args(Stream)
@@ -38,22 +39,28 @@ class ConditionSpace:
         difficulty: Name of the field that is the nominal difficulty; strata divide its range into equal parts.
         ranges: Field name to (low, high), SI units.
         units: Field name to its unit, to be read by people; no entry for a plain number such as a side.
+        hidden: Ranges of the hidden fields that vary (`sim.hidden`); a task sets them by its setting.
 
     Raises:
-        ValueError: A range is empty or reversed, or `difficulty` or a key of `units` is not a field.
+        ValueError: A range is empty or reversed, `difficulty` or a key of `units` is not a field, or a key of `hidden`
+            is not a hidden field.
     """
 
     task: str
     difficulty: str
     ranges: Mapping[str, tuple[float, float]]
     units: Mapping[str, str] = field(default_factory=dict)
+    hidden: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_task_name("ConditionSpace: task", self.task)
-        check_kind("ConditionSpace: ranges", self.ranges, Mapping)
-        check_kind("ConditionSpace: units", self.units, Mapping)
-        for name, ends in self.ranges.items():
+        for name in ("ranges", "units", "hidden"):
+            check_kind(f"ConditionSpace: {name}", getattr(self, name), Mapping)
+        for name in self.ranges:
             check_name("ConditionSpace: a field of ranges", name)
+        for name in self.hidden:
+            check_choice("ConditionSpace: a field of hidden", name, HIDDEN)
+        for name, ends in (*self.ranges.items(), *self.hidden.items()):
             check_numbers(f"ConditionSpace: the range of {name!r}", ends, 2)
             if not ends[0] < ends[1]:
                 problem = "empty; a value that never varies belongs in launch" if ends[0] == ends[1] else "reversed"
@@ -67,11 +74,11 @@ class ConditionSpace:
             )
         for name, unit in self.units.items():
             check_text(f"ConditionSpace: the unit of {name!r} in units", unit)
-        object.__setattr__(self, "ranges", MappingProxyType(dict(self.ranges)))
-        object.__setattr__(self, "units", MappingProxyType(dict(self.units)))
+        for name in ("ranges", "units", "hidden"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return ConditionSpace, (self.task, self.difficulty, dict(self.ranges), dict(self.units))
+        return ConditionSpace, (self.task, self.difficulty, dict(self.ranges), dict(self.units), dict(self.hidden))
 
     @property
     def difficulty_range(self) -> tuple[float, float]:
@@ -87,6 +94,8 @@ class ConditionSpace:
 
     def draw(self, rng: np.random.Generator, stratum: int | None = None, n_strata: int = 1) -> Condition:
         """Draw one condition.
+
+        Hidden fields are drawn last, so that one source gives the same visible fields however far physics varies.
 
         Args:
             rng: Source of randomness.
@@ -104,14 +113,16 @@ class ConditionSpace:
         if stratum is not None:
             shares[self.difficulty] = (stratum + shares[self.difficulty]) / n_strata
         values = {name: low + shares[name] * (high - low) for name, (low, high) in self.ranges.items()}
-        return Condition(self.task, int(rng.integers(2**31)), values[self.difficulty], values)
+        seed = int(rng.integers(2**31))
+        hidden = {name: low + float(rng.random()) * (high - low) for name, (low, high) in self.hidden.items()}
+        return Condition(self.task, seed, values[self.difficulty], values, hidden)
 
     def reset_kwargs(self, condition: Condition) -> dict[str, Any]:
         """Return the keyword arguments of `env.reset` that run this condition."""
         return {"options": {"condition": condition}}
 
     def validate(self, condition: Condition) -> Condition:
-        """Return the condition if it belongs to this space.
+        """Return the condition if it belongs to this space; a hidden field may be missing, or nominal, in any of them.
 
         Raises:
             ValueError: It is another task's, lacks a field, has an unknown one, or a value is out of range.
@@ -131,7 +142,20 @@ class ConditionSpace:
                 f"Condition's difficulty {condition.difficulty} is not its {self.difficulty} "
                 f"{condition.values[self.difficulty]}."
             )
+        self._check_hidden(condition)
         return condition
+
+    def _check_hidden(self, condition: Condition) -> None:
+        for name, value in condition.hidden.items():
+            nominal = HIDDEN[name].nominal
+            low, high = self.hidden.get(name, (nominal, nominal))
+            if name in self.ranges:
+                raise ValueError(f"Condition's hidden field {name!r} is a field of task {self.task!r}; give it there.")
+            if not low - 1e-9 <= value <= high + 1e-9 and value != nominal:
+                raise ValueError(
+                    f"Condition's hidden field {name!r} is {value:g}, outside [{low:g}, {high:g}], its range in this "
+                    "setting; a setting with other physics (fixed, varied, wide) may allow it."
+                )
 
     def stream(
         self, stream: Stream, block: int = 0, *, n_strata: int | None = None, shard: tuple[int, int] = (0, 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from dynaforge.sim.checks import (
@@ -19,7 +19,9 @@ from dynaforge.sim.checks import (
     close_match,
     quoted,
 )
+from dynaforge.sim.hidden import hidden_ranges
 from dynaforge.sim.robot import HAND_WIDTH
+from dynaforge.sim.setting import Physics, Reflex, Sensing, Setting
 from dynaforge.sim.spec import SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.dry_run import dry_run
@@ -92,6 +94,8 @@ class Task:
         camera: (eye, look-at) of the default camera, metres.
         instruction: What to do, as one would tell a language model, e.g. "pick up the rolling can"; made of the skill
             and the object by default.
+        setting: When the robot stops, how far hidden physics varies and what is sensed. It determines the hidden ranges
+            of `conditions`; `under` returns the same task in another setting.
 
     Raises:
         ValueError: A field of the wrong type or out of range, fields that contradict each other, or a mistake that the
@@ -111,12 +115,18 @@ class Task:
     residual: ResidualSpec = field(default_factory=ResidualSpec)
     camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.2, -0.4, 0.62), (0.4, -0.02, 0.14))
     instruction: str = ""
+    setting: Setting = field(default_factory=Setting)
 
     def __post_init__(self) -> None:
         check_task_name("Task: name", self.name)
         place = f"Task {self.name!r}"
         for name, kind in (("scene", SceneSpec), ("conditions", ConditionSpace), ("residual", ResidualSpec)):
             check_kind(f"{place}: {name}", getattr(self, name), kind)
+        check_kind(f"{place}: setting", self.setting, Setting)
+        hidden = hidden_ranges(
+            self.setting.physics, mass=bool(self.scene.bodies) and "mass" not in self.conditions.ranges
+        )
+        object.__setattr__(self, "conditions", replace(self.conditions, hidden=hidden))
         object.__setattr__(self, "phases", check_tuple(f"{place}: phases", self.phases, Phase))
         object.__setattr__(self, "impossible", check_endings(f"{place}: impossible", self.impossible))
         if isinstance(self.instruction, str) and not self.instruction:
@@ -184,6 +194,27 @@ class Task:
             for role in ("target", "done", "track_until", "retry", "fails"):
                 check_word(place, role, getattr(phase, role), names)
         check_word("Task", "impossible", self.impossible, names)
+
+    def under(
+        self, *, reflex: Reflex | None = None, physics: Physics | None = None, sensing: Sensing | None = None
+    ) -> Task:
+        """Return this task in another setting; None keeps what it has.
+
+        Args:
+            reflex: When the robot stops: a named threshold, or newtons.
+            physics: How far hidden physics varies.
+            sensing: What planner and policy see.
+
+        Raises:
+            ValueError: A value is unknown or out of range.
+        """
+        now = self.setting
+        setting = Setting(
+            reflex=now.reflex if reflex is None else reflex,
+            physics=now.physics if physics is None else physics,
+            sensing=now.sensing if sensing is None else sensing,
+        )
+        return self if setting == now else replace(self, setting=setting)
 
     @property
     def manipulated(self) -> str:
