@@ -195,6 +195,6 @@ def test_a_recording_with_late_commands_replays_to_the_bit() -> None:
     episode = PlannerOnly().attempt(env, condition_with(Delays(1, 1)))
     env.close()
     for sensing, agrees in (("real", True), ("ideal", False)):
-        replayer = Replayer(env.task, sensing=sensing)  # type: ignore[arg-type]
+        replayer = Replayer(env.task.under(sensing=sensing))  # type: ignore[arg-type]
         assert (replayer.replay(episode).divergence is None) == agrees
         replayer.close()
