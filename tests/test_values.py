@@ -10,7 +10,7 @@ import dynaforge
 
 ROOT = Path(dynaforge.__file__).parent
 LARGE = ("Array", "Floats", "Tensor", "bytes")  # types that fill the screen
-BY_POSITION = 3  # fields that may be given by position: what a value is called, and what it is of
+BY_POSITION = 4  # fields that may be given by position: what a value is called, and what it is of
 LAUNCH = "Launch"  # written by position in the `launch` of tasks, whose source is part of a task's definition
 
 

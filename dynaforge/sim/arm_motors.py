@@ -79,14 +79,15 @@ class ArmMotors:
         self._blend = np.column_stack((1 - middle, middle))
         self.reset()
 
-    def reset(self, gain: float = 1.0) -> None:
-        """Start an episode at rest at the ready pose.
+    def reset(self, gain: float = 1.0, *, q: Array | None = None) -> None:
+        """Start at rest.
 
         Args:
             gain: Factor on the position gain, which differs from arm to arm.
+            q: Where the arm is, radians, shape (7,); None: at its ready pose.
         """
         self._gains = [gain * POSITION_GAIN] * 7
-        self._q = self._robot.q_ready
+        self._q = self._robot.q_ready if q is None else q
         self._mean, self._dq = np.zeros(7), np.zeros(7)
 
     def plan(self, q: Array) -> list[ArmCommand]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -35,6 +35,7 @@ class Condition:
     seed: int
     difficulty: float
     values: Mapping[str, float]
+    _: KW_ONLY
     hidden: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -56,7 +57,7 @@ class Condition:
         object.__setattr__(self, "hidden", MappingProxyType(checked_hidden("Condition", self.hidden)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Condition, (self.task, self.seed, self.difficulty, dict(self.values), dict(self.hidden))
+        return Condition.from_dict, (self.to_dict(),)
 
     def __hash__(self) -> int:
         return hash(self.id)

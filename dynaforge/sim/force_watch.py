@@ -50,7 +50,9 @@ class ForceWatch:
     @property
     def loads(self) -> Loads:
         """The greatest loads of the episode so far."""
-        return Loads(*self._peaks.tolist(), *self._most_shares[: len(NAMED)].tolist())
+        peak_force, force, peak_torque, torque = self._peaks.tolist()
+        shares = dict(zip(NAMED, self._most_shares.tolist(), strict=False))
+        return Loads(peak_force=peak_force, force=force, peak_torque=peak_torque, torque=torque, **shares)
 
     def see(self) -> None:
         """Note the contacts of the substep just made."""

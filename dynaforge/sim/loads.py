@@ -9,7 +9,7 @@ import numpy as np
 from dynaforge.geometry import Array, one_line
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Loads:
     """The greatest external loads on the robot in an episode.
 

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 from dynaforge.sim.checks import check_choice, check_number, is_number
 
 ReflexName = Literal["contact", "standard", "strict", "off"]
@@ -29,6 +29,8 @@ class Thresholds:
     force: float
     moment: float
     torque: Array
+
+    __repr__ = one_line
 
 
 THRESHOLDS: Mapping[ReflexName, Thresholds] = MappingProxyType(

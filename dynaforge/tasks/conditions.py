@@ -115,7 +115,7 @@ class ConditionSpace:
         values = {name: low + shares[name] * (high - low) for name, (low, high) in self.ranges.items()}
         seed = int(rng.integers(2**31))
         hidden = {name: low + float(rng.random()) * (high - low) for name, (low, high) in self.hidden.items()}
-        return Condition(self.task, seed, values[self.difficulty], values, hidden)
+        return Condition(self.task, seed, values[self.difficulty], values, hidden=hidden)
 
     def reset_kwargs(self, condition: Condition) -> dict[str, Any]:
         """Return the keyword arguments of `env.reset` that run this condition."""

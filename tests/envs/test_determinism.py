@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
-from trajectory_hash import Traced, action, condition, run, traced_env
+from trajectory_hash import LIFTED, Traced, action, condition, run, traced_env
 
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
-CONDITIONS = [condition(2, 11), condition(6)]  # lifted by the actions of `action`; too fast for them
+CONDITIONS = [LIFTED, condition(6)]  # the second is too fast
 IN_ANOTHER_PROCESS = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from trajectory_hash import condition, run, traced_env
+from trajectory_hash import LIFTED, condition, run, traced_env
 env = traced_env()
-print(*(run(env, c)[0] for c in (condition(2, 11), condition(6))))
+print(*(run(env, c)[0] for c in (LIFTED, condition(6))))
 """
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_hash import Traced, TrajectoryHash, action, condition, run
+from trajectory_hash import LIFTED, Traced, TrajectoryHash, action, condition, run
 
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
@@ -16,7 +16,6 @@ from dynaforge.tasks import Outcome, Phase, Task, get_task
 from dynaforge.tasks.targets import Raised
 
 TASK = get_task("can")
-LIFTED = condition(2, 11)  # lifted with the actions of `action`
 MANY = [condition(0, 5), LIFTED, condition(4), condition(7)]
 
 

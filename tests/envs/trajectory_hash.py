@@ -68,6 +68,10 @@ def condition(stratum: int, seed: int = 3) -> Condition:
     return get_task("can").conditions.draw(np.random.default_rng(seed), stratum, 8)
 
 
+LIFTED = condition(0, 0)
+"""A condition whose can is lifted with the actions of `action`; chosen anew whenever the motion changes on purpose."""
+
+
 def action(k: int, size: int = 5) -> np.ndarray:
     """Return the residual of decision k: smooth, never zero, the same everywhere."""
     return (0.4 * np.sin(np.arange(1, size + 1) * (0.3 * k + 1.0))).astype(np.float32)

@@ -64,7 +64,7 @@ def test_each_hidden_field_reaches_the_physics_and_is_taken_back(field):
     body, link, column = places[field]
 
     def now(hidden):
-        scene.reset(Condition(condition.task, condition.seed, condition.difficulty, condition.values, hidden))
+        scene.reset(Condition(condition.task, condition.seed, condition.difficulty, condition.values, hidden=hidden))
         return client.getDynamicsInfo(body, link)[column]
 
     nominal = now({})
@@ -94,7 +94,7 @@ def test_ranges_are_nested_and_include_the_nominal_value():
 def test_a_condition_without_hidden_fields_keeps_its_id_and_one_with_them_survives_json():
     plain = Condition("can", 1, 0.5, {"speed": 0.5})
     assert plain.to_dict() == {"task": "can", "seed": 1, "difficulty": 0.5, "values": {"speed": 0.5}}
-    hidden = Condition("can", 1, 0.5, {"speed": 0.5}, {"mass": 1.1})
+    hidden = Condition("can", 1, 0.5, {"speed": 0.5}, hidden={"mass": 1.1})
     assert Condition.from_dict(hidden.to_dict()) == hidden
     assert hidden.id != plain.id
 
@@ -110,7 +110,7 @@ def test_a_condition_without_hidden_fields_keeps_its_id_and_one_with_them_surviv
 )
 def test_a_hidden_field_that_means_nothing_is_refused(hidden, message):
     with pytest.raises(ValueError, match=message):
-        Condition("can", 1, 0.5, {"speed": 0.5}, hidden)
+        Condition("can", 1, 0.5, {"speed": 0.5}, hidden=hidden)
 
 
 def test_a_hidden_field_beyond_the_range_of_the_setting_is_refused():
