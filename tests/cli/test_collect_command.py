@@ -40,7 +40,9 @@ def test_a_full_disk_costs_nothing_that_was_finished(
     assert "make room, then run the same command again" in said
     dataset = DemonstrationDataset(folder)
     assert 0 < len(dataset) < 4
-    assert not [finding for findings in verify(dataset) for finding in findings]
+    problems = [finding.problem for findings in verify(dataset) for finding in findings]
+    assert len(problems) <= 1  # the disk may be full after a recording and before its line
+    assert all("there is no line for" in problem and "`collect` adds it" in problem for problem in problems)
     recorded = {episode.id: episode.content_hash() for episode in dataset}
     assert main([*command, "--out", str(folder)]) == 0
     after = {episode.id: episode.content_hash() for episode in DemonstrationDataset(folder)}

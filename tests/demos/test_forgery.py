@@ -141,7 +141,8 @@ def failed(episode: Episode, **outcome: Any) -> Episode:
 
 
 def other_condition(episode: Episode) -> Episode:
-    return replace(episode, condition=replace(episode.condition, seed=episode.condition.seed + 1))
+    values = dict(episode.condition.values)
+    return replace(episode, condition=replace(episode.condition, values=values | {"lead": values["lead"] - 1e-3}))
 
 
 def cut(episode: Episode) -> Episode:
