@@ -34,7 +34,7 @@ def net_force(contacts: list[tuple[Any, ...]]) -> float:
     return float(np.linalg.norm(np.sum(forces, axis=0)))
 
 
-def measure(out: Path, **env_kwargs: str) -> None:
+def measure(out: Path, **env_kwargs: Any) -> None:
     """Write the net contact force on the robot at every substep of the planner's grasp.
 
     Args:

@@ -22,7 +22,7 @@ class HiddenField:
         nominal: Its value where a condition does not give one.
         varied: The range of conditions with varied physics.
         wide: That of conditions that test what was trained on varied physics.
-        reason: Where the ranges come from.
+        reason: Why we chose these ranges.
     """
 
     meaning: str
@@ -38,8 +38,8 @@ HIDDEN: Mapping[str, HiddenField] = {
         nominal=1.0,
         varied=(0.8, 1.2),
         wide=(0.6, 1.5),
-        reason="Coefficients measured for one pair of materials differ by a fifth between clean and handled surfaces. "
-        "Bullet multiplies the coefficients of both bodies, so that those of a contact vary by 0.64 to 1.44.",
+        reason="A fifth seems right between clean and handled surfaces. Bullet multiplies the coefficients of both "
+        "bodies, so that those of a contact vary by 0.64 to 1.44.",
     ),
     "finger_friction": HiddenField(
         meaning="factor on the Coulomb coefficient of the finger pads",
@@ -53,40 +53,39 @@ HIDDEN: Mapping[str, HiddenField] = {
         nominal=1.0,
         varied=(0.8, 1.2),
         wide=(0.6, 1.5),
-        reason="Table tops of wood, laminate and metal lie within a fifth of the scene's 0.8; cloth and glass do not.",
+        reason="Wood, laminate and metal should lie within a fifth of the scene's table; cloth and glass do not.",
     ),
     "rolling_friction": HiddenField(
         meaning="factor on the friction lengths against rolling",
         nominal=1.0,
         varied=(1.0, 2.0),
         wide=(1.0, 4.0),
-        reason="Rolling resistance differs by a factor of two with dents, labels and the table's surface. The nominal "
-        "length is the shortest with which Bullet rolls steadily, so it only grows.",
+        reason="Dents, labels and soft tables may double the resistance. The nominal lengths are small, so they only grow.",
     ),
     "mass": HiddenField(
         meaning="factor on the mass of every free body, where the task's own conditions give none",
         nominal=1.0,
         varied=(0.8, 1.2),
         wide=(0.5, 2.0),
-        reason="Objects of one kind differ by a fifth; full ones weigh twice as much as half full ones.",
+        reason="Objects of one kind may differ by a fifth; full ones weigh twice as much as half full ones.",
     ),
     "joint_gain": HiddenField(
         meaning="factor on the position gain of the arm's motors",
         nominal=1.0,
         varied=(0.85, 1.15),
         wide=(0.7, 1.3),
-        reason="The stiffness with which a joint follows its reference differs with controller, payload and friction "
-        "in the gears: identified values agree to about 15 % between robots of one type.",
+        reason="How stiffly a joint follows its reference differs with controller, payload and friction in the gears.",
     ),
     "hand_delay": HiddenField(
         meaning="dead time of the hand, seconds",
         nominal=0.1,
         varied=(0.05, 0.15),
         wide=(0.0, 0.25),
-        reason="The Franka Hand answers 0.1 s and more after a command, over a network, at no fixed time.",
+        reason="Users of the Franka Hand report 0.1 s and more from a command to its motion, at no fixed time.",
     ),
 }
-"""Every hidden field by name. The ranges are the same for all tasks, and were chosen before any training."""
+"""Every hidden field by name. The ranges are engineering judgement, not measurements: the same for all tasks, and
+chosen before any training."""
 
 
 def hidden_ranges(physics: Physics, *, mass: bool) -> dict[str, Range]:
