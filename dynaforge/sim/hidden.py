@@ -60,7 +60,7 @@ HIDDEN: Mapping[str, HiddenField] = {
         nominal=1.0,
         varied=(1.0, 2.0),
         wide=(1.0, 4.0),
-        reason="Dents, labels and soft tables may double the resistance. The nominal ones are small, so they only grow.",
+        reason="Dents, labels and soft tables may double it; the nominal lengths are small, so they only grow.",
     ),
     "mass": HiddenField(
         meaning="factor on the mass of every free body, where the task's own conditions give none",
