@@ -1,6 +1,7 @@
-"""Collect demonstrations with the shipped policy, and look at what they contain.
+"""Collect demonstrations of the planner or of a policy, and look at what they contain; the same command resumes.
 
-python examples/collect_and_look.py --task can --demos 20 --out data/can      # the same command resumes
+python examples/collect_and_look.py --task can --demos 20 --out data/can
+python examples/collect_and_look.py --task can --policy runs/can-1/policy.safetensors --demos 200 --out data/can-1
 """
 
 from __future__ import annotations
@@ -11,22 +12,32 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaforge import DemonstrationDataset, Goal, MlpPolicyFile, ResidualGenerator, collect, get_task
-
-ASSETS = Path(__file__).parents[1] / "assets"
+from dynaforge import (
+    DemonstrationDataset,
+    Generator,
+    Goal,
+    MlpPolicyFile,
+    PlannerOnly,
+    ResidualGenerator,
+    collect,
+    get_task,
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--task", default="can", help="one of the nine tasks")
+    parser.add_argument("--policy", type=Path, help="a residual policy; the planner by itself without one")
     parser.add_argument("--demos", type=int, default=20, help="successes to collect")
     parser.add_argument("--out", type=Path, default=Path("data/can"))
     parser.add_argument("--workers", type=int, help="processes; all cores by default")
     options = parser.parse_args()
 
     task = get_task(options.task)
-    policy = MlpPolicyFile.load(ASSETS / task.name / "policy.safetensors", task=task)
-    generator = ResidualGenerator(policy, policy_hash=policy.digest)
+    generator: Generator = PlannerOnly()
+    if options.policy:
+        policy = MlpPolicyFile.load(options.policy, task=task)
+        generator = ResidualGenerator(policy, policy_hash=policy.digest)
     dataset = DemonstrationDataset(options.out, task=task.name)
     collect(dataset, task, generator, Goal(options.demos, attempts=None), workers=options.workers)
 
