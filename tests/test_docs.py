@@ -14,6 +14,8 @@ from dynaforge.algos import FrontierGRPO
 from dynaforge.cli.main import main
 from dynaforge.demos.schema import schema_markdown
 from dynaforge.reports.task_pages import page_with_picture
+from dynaforge.sim.hidden import HIDDEN
+from dynaforge.sim.reflex import REFLEX_NAMES, THRESHOLDS
 from dynaforge.tasks import TASK_NAMES, get_task
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -153,6 +155,30 @@ def test_the_page_on_datasets_reads_what_its_commands_make(
 
 def test_the_page_on_datasets_holds_the_schema() -> None:
     assert schema_markdown() in (DOCS / "datasets.md").read_text()
+
+
+def test_the_page_on_physics_has_the_ranges_of_the_hidden_fields() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)(?: s)? \| (.+?) \| (.+?) \|", physics_page(), re.MULTILINE)
+    shown = {name: (float(nominal), *map(ends, ranges)) for name, nominal, *ranges in rows}
+    assert shown == {name: (field.nominal, field.varied, field.wide) for name, field in HIDDEN.items()}
+
+
+def test_the_page_on_physics_has_the_thresholds_of_the_reflex() -> None:
+    shown = re.findall(r"^\| `(\w+)`.*? \| (\d+) N \| (\d+) Nm \| ([\d, ]+)", physics_page(), re.MULTILINE)
+    assert [name for name, *_ in shown] == [name for name in REFLEX_NAMES if name != "off"]
+    for name, force, moment, torques in shown:
+        said = THRESHOLDS[name]
+        assert (float(force), float(moment)) == (said.force, said.moment)
+        assert set(map(float, torques.split(","))) == set(said.torque.tolist())
+
+
+def physics_page() -> str:
+    return (DOCS / "physics.md").read_text()
+
+
+def ends(said: str) -> tuple[float, float]:
+    low, high = said.removesuffix(" s").split(" to ")
+    return float(low), float(high)
 
 
 def test_the_page_on_the_algorithm_names_its_options_and_their_defaults() -> None:
