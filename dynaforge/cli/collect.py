@@ -20,6 +20,7 @@ def run(options: argparse.Namespace) -> int:
     """Collect what is missing; return 1 when that is less than was asked for."""
     goal = _goal(options)
     task = chosen_task(options)
+    print(f"{task.name}: {task.setting}")
     generator = generator_of(options.generator, task, options)
     engine = _engine(options)
     out = options.out

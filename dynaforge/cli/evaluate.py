@@ -23,6 +23,7 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
+    print(f"{', '.join(task.name for task in tasks)}: {tasks[0].setting}")
     generators_of_task = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
     out = options.out
     table: dict[str, list[DgrReport]] = {}

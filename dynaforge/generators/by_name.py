@@ -11,6 +11,7 @@ from dynaforge.generators.names import GENERATORS
 from dynaforge.generators.oracle import Oracle
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task
+from dynaforge.tasks.digest import task_digest
 
 
 def make_generator(
@@ -62,9 +63,22 @@ def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: None is shipped, or the file is damaged, of another task, or of other sizes than the task's env.
+        ValueError: None is shipped, or the file is damaged, of another task, of other sizes than the task's env, or
+            trained for another definition or setting of the task.
     """
-    return MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
+    policy = MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
+    if policy.meta.get("task_definition") == task_digest(task):
+        return policy
+    which = f"The policy shipped for task {task.name!r}" if path is None else f"{path}"
+    trained = policy.meta.get("setting")
+    if trained is not None and trained != str(task.setting):
+        difference = f"in another setting ({trained}) than this one ({task.setting})"
+    else:
+        difference = "for another definition of the task, with other forces, speeds or phases than today's"
+    raise ValueError(
+        f"{which} was trained {difference}, so it is not used. Attempt with --generator planner_only, or train a "
+        f"policy, `dynaforge forge --task {task.name}`, and pass it as --policy."
+    )
 
 
 def shipped_policy(task: Task) -> Path:

@@ -20,6 +20,7 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
+from dynaforge.tasks.digest import task_digest
 from dynaforge.training.settings import hyperparameters, model_arguments
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
@@ -85,17 +86,18 @@ def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iter
         del vars(model)[by_steps.__name__]
 
 
-def policy_file(model: OnPolicyAlgorithm, task: str, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
+def policy_file(model: OnPolicyAlgorithm, task: Task, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
     """Take the policy out of a model, with a note of how it was trained.
 
     Args:
         model: The model.
-        task: Task name.
+        task: The task, in the setting that it was trained in.
         algo: Name of the file in zoo_configs that it was trained with.
         seed: Training seed.
         updates: Updates made.
     """
-    meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions()}
+    trained_for = {"task_definition": task_digest(task), "setting": str(task.setting)}
+    meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions(), **trained_for}
     return MlpPolicyFile.of(model, task=task, meta=meta)
 
 

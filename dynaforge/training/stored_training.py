@@ -68,7 +68,7 @@ class StoredTraining:
     def policy(self) -> MlpPolicyFile:
         """Return the policy as it is now."""
         updates = len(self.history)
-        return policy_file(self.model, self._task.name, algo=self._algo, seed=self._seed, updates=updates)
+        return policy_file(self.model, self._task, algo=self._algo, seed=self._seed, updates=updates)
 
     def save(self) -> None:
         """Write history and training checkpoint.

@@ -198,9 +198,9 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
 
     def save_trained_model(manager: Any, model: Any) -> None:
         save(manager, model)
-        task = next((task for task in ENV_NAMES if env_id(task) == manager.env_name.gym_id), None)
-        if task is None:
+        if not any(env_id(task) == manager.env_name.gym_id for task in ENV_NAMES):
             return
+        task = model.get_env().get_attr("task")[0]  # with the setting that the env was made with
         from dynaforge.algos.policy_file import POLICY_FILE
         from dynaforge.training.model import policy_file
 

@@ -18,7 +18,7 @@ from dynaforge.options.words import one_of
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_task_argument(parser, "--task")
+    add_task_argument(parser, "--task", setting=True)
     parser.add_argument(
         "--demos", type=WholeNumber(), help="stop after so many successes (default 50, without --attempts)"
     )

@@ -19,7 +19,7 @@ NAMED = tuple(name for name in GENERATORS if name != "learner")  # it is chosen 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_task_argument(parser, "--task", several=True)
+    add_task_argument(parser, "--task", several=True, setting=True)
     parser.add_argument(
         "--generator",
         nargs="+",

@@ -19,7 +19,7 @@ LEAST_BUDGET = 0.5  # minutes
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_task_argument(parser, "--task")
+    add_task_argument(parser, "--task", setting=True)
     parser.add_argument(
         "--budget", type=minutes, default="13m", help="wall time for everything: 90s, 10m, 1.5h, or minutes"
     )
