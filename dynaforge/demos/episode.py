@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, quoted
+from dynaforge.sim.loads import Loads
 from dynaforge.tasks.outcome import STORED, Outcome
 
 _GENERATOR_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -46,6 +47,7 @@ class AttemptFacts:
         generator: Name of the generator, e.g. "planner_only" or "residual".
         outcome: How it ended.
         duration: Simulated seconds.
+        loads: The greatest external loads on the robot; None where they are not known.
 
     Raises:
         ValueError: A field is of the wrong type or out of range.
@@ -55,6 +57,7 @@ class AttemptFacts:
     generator: str
     outcome: Outcome
     duration: float
+    loads: Loads | None = None
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
@@ -62,6 +65,7 @@ class AttemptFacts:
         check_generator_name(self.generator)
         check_kind(f"{kind}: outcome", self.outcome, Outcome)
         check_number(f"{kind}: duration", self.duration, least=0.0)
+        check_kind(f"{kind}: loads", self.loads, (Loads, type(None)))
 
     @property
     def id(self) -> str:
@@ -100,6 +104,7 @@ class AttemptFacts:
             "generator": self.generator,
             **self.outcome.to_dict(),
             "duration": float(self.duration),
+            **({} if self.loads is None else {"loads": asdict(self.loads)}),
         }
 
 
@@ -119,6 +124,7 @@ def split_facts(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]
         "generator": data["generator"],
         "outcome": Outcome.from_dict(data),
         "duration": data["duration"],
+        "loads": Loads.from_dict(data["loads"]) if "loads" in data else None,
     }
     return fields, {name: value for name, value in data.items() if name not in (*fields, *STORED)}
 
@@ -128,7 +134,7 @@ class Episode(AttemptFacts):
     """One attempt: condition, outcome, and what was recorded at each control step.
 
     Attributes:
-        condition, generator, outcome, duration: As in `AttemptFacts`.
+        condition, generator, outcome, duration, loads: As in `AttemptFacts`.
         steps: Arrays with leading dimension T at control rate; names, shapes, units in `SCHEMA`. Read-only.
         meta: Plain JSON data: `phases` (names by index), `versions`, `policy_hash`, `task_hash`, digests, ...
     """
@@ -190,7 +196,7 @@ class Attempt(AttemptFacts):
     """A line of the ledger: one attempt, without its recording.
 
     Attributes:
-        condition, generator, outcome, duration: As in `AttemptFacts`.
+        condition, generator, outcome, duration, loads: As in `AttemptFacts`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
         block: Which block of conditions it belongs to; standard deviations are over blocks.
         recorded: Whether its recording was kept.
@@ -221,6 +227,7 @@ class Attempt(AttemptFacts):
             generator=episode.generator,
             outcome=episode.outcome,
             duration=episode.duration,
+            loads=episode.loads,
             wall_seconds=wall_seconds,
             block=block,
             recorded=recorded,

@@ -1,6 +1,7 @@
 """Success rates and their statistics: DGR, paired comparisons, the competence frontier."""
 
-from dynaforge.evaluation.dgr import DgrReport, comparison_table, task_table
+from dynaforge.evaluation.dgr import DgrReport
+from dynaforge.evaluation.dgr_tables import comparison_table, task_table
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
 from dynaforge.evaluation.statistics import (
     BootstrapDifference,

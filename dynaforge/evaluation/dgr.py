@@ -6,14 +6,15 @@ import io
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from statistics import mean, stdev
 from typing import Any, Protocol
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from dynaforge.evaluation.statistics import Interval, PairedDifference, wilson_interval
+from dynaforge.evaluation.statistics import Interval, wilson_interval
 
 
 class AttemptRecord(Protocol):
@@ -79,6 +80,10 @@ class DgrReport:
         edges: Edges of the difficulty bins, ascending, one more than there are bins.
         bins: Count of each difficulty bin, the easiest first.
         failures: Number of failed attempts by reason, most frequent first.
+        under: Successes that the reflex with these thresholds would have let happen, by their names; empty where loads
+            are not known.
+        peak_forces: Median, 90th percentile and greatest of the peak contact forces of successes, newtons; None without
+            successes, or where loads are not known.
     """
 
     label: str
@@ -87,10 +92,17 @@ class DgrReport:
     edges: tuple[float, ...]
     bins: tuple[Count, ...]
     failures: Mapping[str, int]
+    under: Mapping[str, Count] = field(default_factory=dict)
+    peak_forces: tuple[float, float, float] | None = None
 
     @staticmethod
     def from_attempts(
-        attempts: Iterable[AttemptRecord], *, difficulty_range: tuple[float, float], n_bins: int = 8, label: str = ""
+        attempts: Iterable[AttemptRecord],
+        *,
+        difficulty_range: tuple[float, float],
+        n_bins: int = 8,
+        label: str = "",
+        thresholds: Sequence[str] = (),
     ) -> DgrReport:
         """Count attempts.
 
@@ -99,6 +111,7 @@ class DgrReport:
             difficulty_range: Lowest and highest difficulty of the task; the bins divide it equally.
             n_bins: Number of difficulty bins.
             label: What was measured.
+            thresholds: Names of the thresholds to count successes under; the attempts' loads have a share of each.
 
         Raises:
             ValueError: No attempts, an empty range, or a difficulty outside of it.
@@ -112,6 +125,8 @@ class DgrReport:
         for record in records:
             bins[_bin_of(record.difficulty, low, high, n_bins)].append(record)
             blocks.setdefault(record.block, []).append(record)
+        loads = [getattr(record, "loads", None) for record in records if record.success]
+        known = None not in loads
         return DgrReport(
             label=label,
             total=_count(records),
@@ -119,6 +134,8 @@ class DgrReport:
             edges=tuple(low + (high - low) * i / n_bins for i in range(n_bins + 1)),
             bins=tuple(_count(members) for members in bins),
             failures=failure_counts(records),
+            under={name: _bearing(loads, name, len(records)) for name in thresholds} if known else {},
+            peak_forces=_spread([load.peak_force for load in loads if load is not None]) if known and loads else None,
         )
 
     @property
@@ -155,6 +172,8 @@ class DgrReport:
             "edges": list(self.edges),
             "bins": [asdict(count) for count in self.bins],
             "failures": dict(self.failures),
+            "under": {name: asdict(count) for name, count in self.under.items()},
+            "peak_forces": None if self.peak_forces is None else list(self.peak_forces),
             "derived": derived,
         }
 
@@ -173,6 +192,8 @@ class DgrReport:
                 edges=tuple(float(edge) for edge in data["edges"]),
                 bins=tuple(Count(**count) for count in data["bins"]),
                 failures={str(key): int(value) for key, value in data["failures"].items()},
+                under={str(name): Count(**count) for name, count in data.get("under", {}).items()},
+                peak_forces=_three(data.get("peak_forces")),
             )
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"Not a DGR report: {error!r}.") from error
@@ -183,11 +204,11 @@ class DgrReport:
         for name in ("difficulty", "n", "success", "95 %"):
             grid.add_column(name, justify="right")
         for low, high, count in zip(self.edges[:-1], self.edges[1:], self.bins, strict=True):
-            grid.add_row(f"{low:.3g} - {high:.3g}", str(count.n), *_cells(count))
+            grid.add_row(f"{low:.3g} - {high:.3g}", str(count.n), *cells(count))
         grid.add_section()
-        grid.add_row("all", str(self.n), *_cells(self.total))
+        grid.add_row("all", str(self.n), *cells(self.total))
         lines = [f"  {number:4d}  {reason}" for reason, number in self.failures.items()]
-        return _render(grid, width) + ("\nfailures\n" + "\n".join(lines) if lines else "")
+        return render(grid, width) + ("\nfailures\n" + "\n".join(lines) if lines else "")
 
 
 def failure_counts(attempts: Iterable[AttemptRecord]) -> dict[str, int]:
@@ -204,56 +225,22 @@ def ranked_reasons(reports: Iterable[DgrReport]) -> list[str]:
     return sorted(totals, key=lambda reason: (-totals[reason], reason))
 
 
-def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:
-    """Return one row per report as plain text, and the paired gain below them if given.
-
-    Args:
-        reports: The reports.
-        paired: The last report against the first, on the same conditions.
-        width: Columns of text at most.
-    """
-    grid = Table()
-    for name in ("", "n", "success", "95 %", "std of blocks"):
-        grid.add_column(name, justify="left" if not name else "right")
-    for report in reports:
-        spread = f"{report.std:.1%}" if not math.isnan(report.std) else "-"
-        grid.add_row(report.label, str(report.n), *_cells(report.total), spread)
-    text = _render(grid, width)
-    return text if paired is None else f"{text}\n{describe_gain(paired)}"
+def _bearing(loads: Iterable[Any], threshold: str, n: int) -> Count:
+    """Count the successes whose load lies within a named threshold."""
+    return Count(sum(getattr(load, threshold) <= 1.0 for load in loads), n)
 
 
-def task_table(reports: Mapping[str, Sequence[DgrReport]], *, width: int = 120) -> str:
-    """Return the rates of generators over tasks as plain text, and their means over the tasks at the end.
-
-    Args:
-        reports: Task name to one report per generator, the same generators in the same order for every task.
-        width: Columns of text at most.
-    """
-    grid = Table()
-    for name in ("task", "generator", "n", "success", "std", "95 %", "by difficulty, easy to hard, %"):
-        grid.add_column(name, justify="left" if name in ("task", "generator") else "right")
-    for task, measured in reports.items():
-        for report in measured:
-            bins = " ".join(f"{100 * b.rate:3.0f}" if b.n else "  -" for b in report.bins)
-            rate, interval = _cells(report.total)
-            spread = "-" if math.isnan(report.std) else f"{report.std:.1%}"
-            grid.add_row(task, report.label, str(report.n), rate, spread, interval, bins)
-    grid.add_section()
-    for measured in zip(*reports.values(), strict=True):
-        average = mean(report.mean for report in measured)
-        grid.add_row("mean", measured[0].label, str(sum(r.n for r in measured)), f"{average:.1%}", "", "", "")
-    return _render(grid, width)
+def _spread(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return median, 90th percentile and maximum."""
+    p50, p90 = np.percentile(values, (50, 90)).tolist()
+    return p50, p90, max(values)
 
 
-def describe_gain(paired: PairedDifference) -> str:
-    """Return the result of a paired comparison in one line."""
-    low, high = paired.interval
-    p = f"p = {paired.p_value:.2g}" if paired.p_value >= 1e-4 else "p < 0.0001"
-    return (
-        f"paired gain {100 * paired.difference:+.1f} points, 95 % [{100 * low:+.1f}, {100 * high:+.1f}] "
-        f"(of {paired.n} conditions, {paired.only_b} succeed only with it and {paired.only_a} only without it; "
-        f"exact McNemar {p})"
-    )
+def _three(values: Any) -> tuple[float, float, float] | None:
+    if values is None:
+        return None
+    p50, p90, most = map(float, values)
+    return p50, p90, most
 
 
 def _bin_of(difficulty: float, low: float, high: float, n_bins: int) -> int:
@@ -266,14 +253,21 @@ def _count(records: Sequence[AttemptRecord]) -> Count:
     return Count(sum(bool(record.success) for record in records), len(records))
 
 
-def _cells(count: Count) -> tuple[str, str]:
+def cells(count: Count) -> tuple[str, str]:
+    """Return the cells of a rate and its interval."""
     if not count.n:
         return "-", "-"
     low, high = count.interval
     return f"{count.rate:.1%}", f"{low:.1%} - {high:.1%}"
 
 
-def _render(grid: Table, width: int) -> str:
+def render(grid: Table, width: int) -> str:
+    """Return a table as plain text.
+
+    Args:
+        grid: The table.
+        width: Columns of text at most.
+    """
     console = Console(file=io.StringIO(), width=width, color_system=None, force_terminal=False)
     with console.capture() as capture:
         console.print(grid)

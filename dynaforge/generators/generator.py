@@ -106,6 +106,7 @@ def episode_of(
         generator=generator,
         outcome=outcome,
         duration=env.world.state.time,
+        loads=env.world.scene.loads,
         steps=steps,
         meta={
             "phases": [phase.name for phase in env.task.phases],

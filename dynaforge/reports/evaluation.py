@@ -11,10 +11,11 @@ from typing import Any
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference, paired_difference
-from dynaforge.evaluation.dgr import describe_gain
+from dynaforge.evaluation.dgr_tables import describe_gain
 from dynaforge.evaluation.statistics import no_bin_worse
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
+from dynaforge.sim.reflex import named_within
 from dynaforge.tasks import Task
 
 BINS = 8
@@ -67,9 +68,9 @@ class Gain:
 
 def reports_of(task: Task, measured: Measured) -> list[DgrReport]:
     """Return the DGR of every generator, labelled with its name."""
-    bounds = task.conditions.difficulty_range
+    bounds, told = task.conditions.difficulty_range, named_within(task.setting.reflex)
     return [
-        DgrReport.from_attempts(attempts, difficulty_range=bounds, n_bins=BINS, label=name)
+        DgrReport.from_attempts(attempts, difficulty_range=bounds, n_bins=BINS, label=name, thresholds=told)
         for name, attempts in measured.items()
     ]
 
@@ -115,6 +116,7 @@ def write_evaluation(
     conditions = next(iter(measured.values()))
     data = {
         "task": task.name,
+        "setting": task.setting.to_dict(),
         "reports": [report.to_dict() for report in reports],
         "gains": {gain.generator: gain.to_dict() for gain in gains},
         "conditions": [

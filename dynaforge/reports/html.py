@@ -12,7 +12,8 @@ from typing import Any
 
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference
-from dynaforge.evaluation.dgr import describe_gain, ranked_reasons
+from dynaforge.evaluation.dgr import ranked_reasons
+from dynaforge.evaluation.dgr_tables import describe_gain
 from dynaforge.files.atomic import atomic_write
 from dynaforge.geometry import one_line
 from dynaforge.reports.extras import load_extra

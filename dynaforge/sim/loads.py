@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from dynaforge.geometry import Array, one_line
+from dynaforge.sim.checks import check_number, quoted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +33,22 @@ class Loads:
     strict: float = 0.0
 
     __repr__ = one_line
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            check_number(f"Loads: {part.name}", getattr(self, part.name), least=0.0)
+
+    @staticmethod
+    def from_dict(data: Any) -> Loads:
+        """Rebuild loads from `dataclasses.asdict`.
+
+        Raises:
+            ValueError: It is no mapping, a load is missing or unknown, or one is no number of at least 0.
+        """
+        names = [part.name for part in fields(Loads)]
+        if not isinstance(data, dict) or sorted(data) != sorted(names):
+            raise ValueError(f"loads is {quoted(data)}; it must be a mapping with {', '.join(names)}.")
+        return Loads(**data)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,3 +60,25 @@ def thresholds(reflex: ReflexName | float) -> Thresholds:
     check_number("reflex", reflex, above=0.0)
     contact = THRESHOLDS["contact"]
     return Thresholds(float(reflex), contact.moment, contact.torque)
+
+
+def named_within(reflex: ReflexName | float) -> tuple[ReflexName, ...]:
+    """Return the named thresholds, softest first, of which attempts under a reflex tell whether they were exceeded.
+
+    They are those that are no higher than its own: what comes after the robot has stopped is not known.
+
+    Args:
+        reflex: What the attempts were made under.
+
+    Raises:
+        ValueError: As `thresholds`.
+    """
+    own = thresholds(reflex)
+    return tuple(
+        name
+        for name, named in THRESHOLDS.items()
+        if name != "off"
+        and named.force <= own.force
+        and named.moment <= own.moment
+        and (named.torque <= own.torque).all()
+    )
