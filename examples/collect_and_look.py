@@ -16,12 +16,11 @@ from dynaforge import (
     DemonstrationDataset,
     Generator,
     Goal,
-    MlpPolicyFile,
     PlannerOnly,
-    ResidualGenerator,
     collect,
     get_task,
 )
+from dynaforge.generators import make_generator
 
 
 def main() -> None:
@@ -36,8 +35,7 @@ def main() -> None:
     task = get_task(options.task)
     generator: Generator = PlannerOnly()
     if options.policy:
-        policy = MlpPolicyFile.load(options.policy, task=task)
-        generator = ResidualGenerator(policy, policy_hash=policy.digest)
+        generator = make_generator("residual", task, policy=options.policy)
     dataset = DemonstrationDataset(options.out, task=task.name)
     collect(dataset, task, generator, Goal(options.demos, attempts=None), workers=options.workers)
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dynaforge import MlpPolicyFile, PlannerOnly, ResidualEnv, ResidualGenerator, get_task
+from dynaforge import PlannerOnly, ResidualEnv, get_task
+from dynaforge.generators import make_generator
 from dynaforge.reports import encode_gif
 from dynaforge.reports.film import film
 
@@ -28,7 +29,7 @@ def main() -> None:
     task = get_task(options.task)
     generators = [PlannerOnly()]
     if options.policy:
-        generators.append(ResidualGenerator(MlpPolicyFile.load(options.policy, task=task)))
+        generators.append(make_generator("residual", task, policy=options.policy))
     env = ResidualEnv(task, render_mode="rgb_array")
     frames: list[np.ndarray] = []
     # One condition of each stratum, that is, of n equal parts of the difficulty range.

@@ -47,7 +47,7 @@ class MlpPolicyFile:
 
     Attributes:
         task: Name of the task it was trained on.
-        meta: Plain JSON data kept with it: how it was trained, versions.
+        meta: Plain JSON data kept with it: digest and setting of the task it is for, how it was trained, versions.
         digest: SHA-256 over task and weights: names the policy in every episode it makes.
     """
 
@@ -91,8 +91,9 @@ class MlpPolicyFile:
 
         Args:
             model: The trained model.
-            task: The task that it was trained on: a task, its name, or an env id of it.
-            meta: Plain JSON data to keep with it.
+            task: The task that it was trained on: a task, its name, or an env id of it. A name stands for the task as
+                it is registered, so pass the task itself if it was trained under another setting.
+            meta: Plain JSON data to keep with it; the digest of the task and its setting are added.
 
         Raises:
             ValueError: Unknown task, sizes that do not fit it, or a policy of which the file would not hold all:
@@ -102,10 +103,11 @@ class MlpPolicyFile:
 
         name = _name_of(task)
         layers, activation = plain_mlp(model)
-        policy = MlpPolicyFile(layers, activation, task=name, meta=meta)
         if fault := _fault_of(layers) or _misfit(layers, name):
             raise ValueError(f"The policy cannot be written as a policy file: {fault}.")
-        return policy
+        env_class, arguments = _env_of(name)
+        definition = env_class.definition(**arguments | ({} if isinstance(task, str) else {"task": task}))
+        return MlpPolicyFile(layers, activation, task=name, meta=dict(meta or {}) | definition)
 
     def save(self, path: str | Path) -> None:
         """Write the policy, replacing the file as a whole or not at all."""
@@ -118,6 +120,8 @@ class MlpPolicyFile:
     @staticmethod
     def load(path: str | Path, *, task: str | Named | None = None) -> MlpPolicyFile:
         """Read a policy; runs no code from the file.
+
+        Whether it was trained for the task as it is now is not checked here, but by `make_generator`.
 
         Args:
             path: The file.
@@ -197,16 +201,18 @@ def _name_of(task: str | Named) -> str:
 
 
 def _misfit(layers: Layers, task: str) -> str:
-    """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not.
-
-    The sizes are read from the env's class, found where Gymnasium finds it, so no env is made.
-    """
-    spec = gym.spec(env_id(task))
-    env_class: Any = load_env_creator(str(spec.entry_point))
-    sizes, expected = (layers[0][0].shape[1], len(layers[-1][1])), env_class.sizes(**spec.kwargs)
+    """Say how the sizes of a policy differ from those of a task's residual env; "" if they do not."""
+    env_class, arguments = _env_of(task)
+    sizes, expected = (layers[0][0].shape[1], len(layers[-1][1])), env_class.sizes(**arguments)
     if sizes == expected:
         return ""
     return (
         f"it takes {sizes[0]} numbers and gives {sizes[1]}, but an observation of task {task!r} has "
         f"{expected[0]} and its action {expected[1]}"
     )
+
+
+def _env_of(task: str) -> tuple[Any, dict[str, Any]]:
+    """Return the class of a task's residual env, found where Gymnasium finds it, and its arguments; makes no env."""
+    spec = gym.spec(env_id(task))
+    return load_env_creator(str(spec.entry_point)), dict(spec.kwargs)

@@ -23,7 +23,7 @@ from dynaforge.generators import (
     ResidualGenerator,
     collect,
 )
-from dynaforge.generators.by_name import make_generator, shipped_policy
+from dynaforge.generators.by_name import make_generator, policy_for
 from dynaforge.generators.generator import ConstantResidual
 from dynaforge.sampling.processes import usable_cores
 from dynaforge.tasks import Task, task_source
@@ -176,9 +176,9 @@ def demonstrations(task: Task) -> list[Figure]:
 
 
 def _generator_of(task: Task) -> str:
-    """Return the generator to collect with: the shipped policy, or planner only where none is shipped."""
+    """Return the generator to collect with: the shipped policy, or planner only where none is shipped that fits."""
     try:
-        shipped_policy(task)
+        policy_for(task)
     except ValueError:
         return "planner_only"
     return "residual"

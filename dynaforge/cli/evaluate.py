@@ -23,7 +23,8 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
-    print(f"{', '.join(task.name for task in tasks)}: {tasks[0].setting}")
+    for setting in dict.fromkeys(str(task.setting) for task in tasks):  # a task file may have a setting of its own
+        print(f"{', '.join(task.name for task in tasks if str(task.setting) == setting)}: {setting}")
     generators_of_task = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
     out = options.out
     table: dict[str, list[DgrReport]] = {}

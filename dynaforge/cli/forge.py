@@ -43,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     if folder.resumed:
         print(f"{out} holds this run{': finished' if folder.finished else ' in part: resuming'}")
 
+    print(f"{task.name}: {task.setting}")
     print(f"[1/5] the planner only, {options.attempts} fresh conditions")
     before = folder.stage("planner", lambda: _measured(task, [PlannerOnly()], "val", options))
     print(f"      success {np.mean([attempt.success for attempt in _attempts(before)[0]]):.0%}")

@@ -17,6 +17,7 @@ from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_choice, check_number
 from dynaforge.sim.setting import Physics, Reflex, Sensing
 from dynaforge.tasks import FRAMES, Frame, Task, get_task
+from dynaforge.tasks.digest import definition_of
 
 Observation = NDArray[np.float32]
 
@@ -88,6 +89,11 @@ class ResidualEnv(WorldEnv):
     def sizes(task: str | Task, **_: Any) -> tuple[int, int]:
         """Return the sizes of an observation and an action of a task, without making its env."""
         return residual_sizes(get_task(task) if isinstance(task, str) else task)
+
+    @staticmethod
+    def definition(task: str | Task, **_: Any) -> dict[str, Any]:
+        """Return what a policy file keeps of the task that it is for: the digest of its definition, and its setting."""
+        return definition_of(get_task(task) if isinstance(task, str) else task)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

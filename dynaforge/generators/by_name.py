@@ -9,8 +9,9 @@ from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOn
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.names import GENERATORS
 from dynaforge.generators.oracle import Oracle
+from dynaforge.sim.setting import Setting
 from dynaforge.sim.spec import asset_path
-from dynaforge.tasks import Task
+from dynaforge.tasks import Task, task_file_name
 from dynaforge.tasks.digest import task_digest
 
 
@@ -55,7 +56,7 @@ def make_generator(
 
 
 def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
-    """Read a policy and check that it fits a task.
+    """Read a policy and check that it was trained for a task, as it is now and in its setting.
 
     Args:
         task: The task.
@@ -63,22 +64,32 @@ def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: None is shipped, or the file is damaged, of another task, of other sizes than the task's env, or
-            trained for another definition or setting of the task.
+        ValueError: None is shipped, or the file is damaged, of another task or of other sizes than the task's env, or
+            was trained for another definition or under another setting of the task.
     """
     policy = MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
-    if policy.meta.get("task_definition") == task_digest(task):
-        return policy
-    which = f"The policy shipped for task {task.name!r}" if path is None else f"{path}"
-    trained = policy.meta.get("setting")
-    if trained is not None and trained != str(task.setting):
-        difference = f"in another setting ({trained}) than this one ({task.setting})"
-    else:
-        difference = "for another definition of the task, with other forces, speeds or phases than today's"
-    raise ValueError(
-        f"{which} was trained {difference}, so it is not used. Attempt with --generator planner_only, or train a "
-        f"policy, `dynaforge forge --task {task.name}`, and pass it as --policy."
-    )
+    if policy.meta.get("task_definition") != task_digest(task):
+        which = f"The shipped policy of {task.name!r}" if path is None else f"{path}"
+        raise ValueError(f"{which} was trained {_trained_for(policy, task)}, so it is not used. {_remedy(task)}")
+    return policy
+
+
+def _trained_for(policy: MlpPolicyFile, task: Task) -> str:
+    """Say for what other task than this one a policy was trained."""
+    if "setting" not in policy.meta:
+        return "for another definition of the task (rigid arm, no force reflex)"
+    try:
+        setting = Setting.from_dict(policy.meta["setting"])
+    except ValueError:
+        return "for another definition of the task (its setting is unreadable)"
+    if setting == task.setting:
+        return "for another definition of the task (other scene, conditions, phases or residual)"
+    return f"under another setting ({setting}) than this one ({task.setting})"
+
+
+def _remedy(task: Task) -> str:
+    file = task_file_name(task) or task.name
+    return f"Use --generator planner_only, or train one: dynaforge forge --task {file}."
 
 
 def shipped_policy(task: Task) -> Path:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.demos import Attempt, Episode
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator
+from dynaforge.generators.by_name import policy_for
 from dynaforge.reports import Clip, encode_mp4
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -82,7 +82,7 @@ def film_clips(task: Task, policy: Path, attempts: list[Attempt], *, each: int =
         attempts: Its attempts.
         each: How many successes, and how many failures.
     """
-    generator = ResidualGenerator(MlpPolicyFile.load(policy, task=task))
+    generator = ResidualGenerator(policy_for(task, policy))
     successes = [attempt for attempt in attempts if attempt.success][:each]
     failures = [attempt for attempt in attempts if not attempt.success][:each]
     env = ResidualEnv(task, render_mode="rgb_array")

@@ -32,6 +32,11 @@ def task_digest(task: Task) -> str:
     return _known[id(task)][1]
 
 
+def definition_of(task: Task) -> dict[str, Any]:
+    """Return plain JSON data that tells whether something made for a task is for this one: its digest, its setting."""
+    return {"task_definition": task_digest(task), "setting": task.setting.to_dict()}
+
+
 _EXCLUDED: dict[type, tuple[str, ...]] = {
     Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name"),
     ConditionSpace: ("units",),

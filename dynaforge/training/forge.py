@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
+from dynaforge.generators.by_name import policy_for
 from dynaforge.tasks import Task
 from dynaforge.training.forge_folder import ForgeFolder
 from dynaforge.training.history import TrainingHistory
@@ -46,7 +47,7 @@ def train(
     """
     path = folder.path
     if folder.has_stage("trained"):
-        policy, history = MlpPolicyFile.load(path / POLICY_FILE, task=task), TrainingHistory.load(path / HISTORY)
+        policy, history = policy_for(task, path / POLICY_FILE), TrainingHistory.load(path / HISTORY)
         return TrainingResult(policy, history, interrupted=False)
     settings = hyperparameters(algo, task.name)
     env = training_env(task, settings["n_envs"], algo=algo, cores=workers)

@@ -20,7 +20,6 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
-from dynaforge.tasks.digest import task_digest
 from dynaforge.training.settings import hyperparameters, model_arguments
 
 ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
@@ -96,8 +95,7 @@ def policy_file(model: OnPolicyAlgorithm, task: Task, *, algo: str, seed: int, u
         seed: Training seed.
         updates: Updates made.
     """
-    trained_for = {"task_definition": task_digest(task), "setting": str(task.setting)}
-    meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions(), **trained_for}
+    meta = {"algo": algo, "seed": seed, "updates": updates, "versions": package_versions()}
     return MlpPolicyFile.of(model, task=task, meta=meta)
 
 

@@ -25,6 +25,7 @@ from dynaforge.envs.observation import residual_sizes
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import TASK_NAMES, get_task
+from dynaforge.tasks.digest import definition_of
 
 N_OBS, N_ACT = residual_sizes(get_task("can"))
 
@@ -144,7 +145,7 @@ def test_policy_file_survives_the_disk_to_the_bit(model: FrontierGRPO, tmp_path:
     policy.save(tmp_path / "p.safetensors")
     read = MlpPolicyFile.load(tmp_path / "p.safetensors", task="can")
     assert read.digest == policy.digest
-    assert read.meta == {"seed": 3}
+    assert read.meta == {"seed": 3} | definition_of(get_task("can"))
     for observation in observations():
         assert np.array_equal(read(observation), policy(observation))
 
