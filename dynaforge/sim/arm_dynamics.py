@@ -12,6 +12,7 @@ import pinocchio as pin
 from dynaforge.geometry import Array
 from dynaforge.sim.bullet import connect, joints_and_links
 from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.hand import weigh_fingers
 from dynaforge.sim.robot import RobotDescription
 
 GRAVITY = 9.81  # m/s^2
@@ -20,16 +21,16 @@ GRAVITY = 9.81  # m/s^2
 class ArmDynamics:
     """The arm's equation of motion, M(q) ddq + h(q, dq) = tau, with its hand half open and empty.
 
-    Masses and centres of mass are those of the URDF. The moments of inertia are those that Bullet computes from the
-    collision shapes, because the URDF's own (0.1 kg m^2 for every link) are placeholders. Bullet and this model
-    therefore agree to rounding.
+    Masses and centres of mass are those of the URDF, except in the hand (`weigh_fingers`). The moments of inertia are
+    those that Bullet computes from the collision shapes, because the URDF's own (0.1 kg m^2 for every link) are
+    placeholders. Bullet and this model therefore agree to rounding.
 
     Args:
         robot: The robot.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._model = _model(robot.urdf, robot.arm_joints, robot.width_max)
+        self._model = _model(robot.urdf, robot.arm_joints, robot.finger_joints, robot.width_max)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(robot.ee_link)
 
@@ -53,12 +54,12 @@ class ArmDynamics:
 
 
 @lru_cache(maxsize=4)
-def _model(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> Any:
+def _model(urdf: Path, arm_joints: tuple[str, ...], finger_joints: tuple[str, str], width_max: float) -> Any:
     model = pin.buildModelFromUrdf(str(urdf))
     for joint in range(1, model.njoints):
         model.inertias[joint] = pin.Inertia.Zero()
     links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint}
-    for name, inertia in _link_inertias(urdf).items():
+    for name, inertia in _link_inertias(urdf, finger_joints).items():
         if name in links:
             joint = links[name].parentJoint
             model.inertias[joint] = model.inertias[joint] + links[name].placement.act(inertia)
@@ -69,12 +70,14 @@ def _model(urdf: Path, arm_joints: tuple[str, ...], width_max: float) -> Any:
     return pin.buildReducedModel(model, [model.getJointId(name) for name in locked], q)
 
 
-def _link_inertias(urdf: Path) -> dict[str, Any]:
+def _link_inertias(urdf: Path, finger_joints: tuple[str, str]) -> dict[str, Any]:
     """Return what Bullet takes for the mass, centre of mass and inertia of every link that has a mass, by name."""
     client = connect(gui=False)
     body = client.loadURDF(str(urdf), useFixedBase=True, flags=p.URDF_IGNORE_VISUAL_SHAPES)
+    joints, links = joints_and_links(client, body)
+    weigh_fingers(client, body, [joints[name] for name in finger_joints])
     inertias = {}
-    for name, link in joints_and_links(client, body)[1].items():
+    for name, link in links.items():
         mass, _, moments, centre, turn, *_ = client.getDynamicsInfo(body, link)
         if mass:
             rotation = np.array(p.getMatrixFromQuaternion(turn)).reshape(3, 3)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from dynaforge.geometry import Array
 from dynaforge.sim.arm_motors import ArmCommand, ArmMotors
 from dynaforge.sim.condition import Condition
+from dynaforge.sim.hand import HandCommand
 from dynaforge.sim.scene import SimScene
 from dynaforge.sim.state import SceneState
 
@@ -19,12 +20,12 @@ class MotorCommands:
 
     Attributes:
         arm: Commands to the arm's motors, one per substep.
-        width: Opening of the hand, metres.
+        hand: What `Hand.command` is told in the course of it.
         fixtures: Motor speeds of each fixture, rad/s or m/s.
     """
 
     arm: list[ArmCommand]
-    width: float
+    hand: HandCommand
     fixtures: list[list[float]]
 
 
@@ -55,15 +56,15 @@ def motor_commands(
     )
     for q, width in references:
         due = [fixture.due(state.time + spec.control_dt, spec.control_dt) for fixture in fixtures]
-        commands.append(MotorCommands(planner.plan(q), width, due))
-        state = scene.step(q, width)
+        arm, state = planner.plan(q), scene.step(q, width)
+        commands.append(MotorCommands(arm, scene._hand.last, due))
     return commands
 
 
 def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorCommands]) -> tuple[float, SceneState]:
     """Replay the motor commands of an episode, and nothing else.
 
-    The opening is commanded where it changes, and fixtures once per control step.
+    Hand and fixtures are commanded once per control step.
 
     Args:
         scene: The scene to simulate it in.
@@ -75,18 +76,16 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
     """
     scene.reset(condition)
     # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.
-    run_arm, step_physics, finger_motors = scene._arm.run, scene._step_physics, scene._finger_motors
+    run_arm, step_physics, hand = scene._arm.run, scene._step_physics, scene._hand
     fixtures = tuple(scene._bullet.fixtures.values())
-    commanded = None
+    due_substep = hand.state.due
     begin = time.process_time()
     for step in commands:
-        if step.width != commanded:
-            commanded = step.width
-            for move_finger in finger_motors:
-                move_finger(targetPosition=step.width / 2)
         for fixture, due in zip(fixtures, step.fixtures, strict=True):
             fixture.command(due)
-        for command in step.arm:
+        for substep, command in enumerate(step.arm):
+            if substep == due_substep:
+                hand.command(step.hand)
             run_arm(command)
             step_physics()
     return time.process_time() - begin, scene.observe()

@@ -12,6 +12,7 @@ from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asse
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.fixture import Fixture
+from dynaforge.sim.hand import couple_fingers
 from dynaforge.sim.robot import RobotDescription
 from dynaforge.sim.spec import BodySpec, SceneSpec
 
@@ -123,10 +124,7 @@ def _prepare_robot(client: Any, body: int, robot: RobotDescription, *, finger_fr
         client.resetJointState(body, joint, robot.width_max / 2)
         client.changeDynamics(body, joint, lateralFriction=finger_friction, spinningFriction=0.02, rollingFriction=0.0)
     stiffen(client, body)
-    # PyBullet ignores <mimic>: without this gear the fingers drift apart under load.
-    left, right = fingers
-    gear = client.createConstraint(body, left, body, right, p.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3)
-    client.changeConstraint(gear, gearRatio=-1, erp=0.1, maxForce=50)
+    couple_fingers(client, body, fingers)
     client.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING)
     return BulletRobot(body, arm, fingers, links[robot.ee_link])
 

@@ -41,7 +41,7 @@ class RobotDescription:
         torque_margin: How much torque a motor gives at most beyond what its reference needs, Nm, shape (7,).
         width_max: Largest opening between the fingers, metres.
         finger_speed_max: Speed limit of one finger, m/s; the width changes at most twice as fast.
-        grip_force: Force limit of each finger, newtons.
+        grip_force: Force with which each finger closes on an object, newtons.
     """
 
     urdf: Path

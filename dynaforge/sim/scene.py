@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.geometry import Array, Pose
-from dynaforge.sim.arm_motors import POSITION_GAIN, VELOCITY_GAIN, ArmMotors
+from dynaforge.sim.arm_motors import ArmMotors
 from dynaforge.sim.bullet import pose_of
-from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.bullet_scene import load_scene
 from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_picture
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.contacts import ContactReader
 from dynaforge.sim.force_watch import ForceWatch
+from dynaforge.sim.hand import HAND_DELAY, Hand
 from dynaforge.sim.loads import Loads
 from dynaforge.sim.reflex import ReflexName, thresholds
 from dynaforge.sim.robot import RobotDescription, franka
@@ -26,7 +26,6 @@ from dynaforge.sim.spec import Launch, Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
 from dynaforge.sim.surfaces import Surfaces
 
-FINGER_SPEED_MARGIN = 0.995  # the gear between the fingers exceeds the motor's own limit by up to 0.2 %
 PARKED_STEPS = 2  # substeps at each reset; in the second, Bullet finds its list of pairs empty
 # Collision group and mask; FREE and BOLTED are those that Bullet assigns when it loads a body.
 WITH_NOTHING, FREE, BOLTED = (0, 0), (1, -1), (2, -3)
@@ -80,6 +79,7 @@ class SimScene:
         self._bind_hot_calls()
         client, body, joints = self._bullet.client, self._bullet.robot.body, self._bullet.robot.arm
         self._arm = ArmMotors(client, body, joints, self.robot, substeps=spec.substeps, control_dt=spec.control_dt)
+        self._hand = Hand(client, self._bullet.robot, self.robot, substeps=spec.substeps, physics_dt=spec.physics_dt)
         self._watch = ForceWatch(client, body, self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
 
@@ -87,19 +87,6 @@ class SimScene:
         # Looking a function up in the client costs a third of the time of a short call.
         client, robot = self._bullet.client, self._bullet.robot
         self._step_physics = client.stepSimulation
-        self._finger_motors = [
-            partial(
-                client.setJointMotorControl2,
-                robot.body,
-                joint,
-                p.POSITION_CONTROL,
-                force=self.robot.grip_force,
-                positionGain=POSITION_GAIN,
-                velocityGain=VELOCITY_GAIN,
-                maxVelocity=self.robot.finger_speed_max * FINGER_SPEED_MARGIN,
-            )
-            for joint in robot.fingers
-        ]
         self._joint_states = partial(client.getJointStates, robot.body, robot.arm + robot.fingers)
         self._ee_state = partial(client.getLinkState, robot.body, robot.ee, computeForwardKinematics=1)
         self._body_pose = client.getBasePositionAndOrientation
@@ -135,6 +122,7 @@ class SimScene:
         client.restoreState(self._saved)
         hidden = condition.hidden
         self._surfaces.apply(hidden)
+        self._hand.reset(hidden.get("hand_delay", HAND_DELAY))
         for name, start in self.spec.starts(condition).items():
             if isinstance(start, Placement):
                 self._bullet.fixtures[name].place(start)
@@ -176,14 +164,15 @@ class SimScene:
 
         Args:
             q_reference: Joint positions to reach at the end of the control step, radians, shape (7,).
-            width_reference: Opening to reach at the end of the control step, metres. The finger motors never exceed
-                the hand's speed limit.
+            width_reference: Opening that the hand is told to move to, metres. It answers after its dead time, and never
+                faster than its speed limit.
         """
-        for move_finger in self._finger_motors:
-            move_finger(targetPosition=width_reference / 2)
+        due = self._hand.send(width_reference)
         for fixture in self._bullet.fixtures.values():
             fixture.drive(self._time + self.spec.control_dt, self.spec.control_dt)
-        for command in self._arm.plan(q_reference):
+        for substep, command in enumerate(self._arm.plan(q_reference)):
+            if substep == due:
+                self._hand.drive()
             self._arm.run(command)
             self._step_physics()
             self._watch.see()

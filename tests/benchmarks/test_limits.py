@@ -18,7 +18,7 @@ def test_finger_speed_is_measured_over_full_strokes_and_a_faster_motor_is_notice
     (figure,) = bench_limits.finger_speed(CAN)
     assert figure.ok, figure
     assert all(0.045 < speed <= 0.05 for speed in figure.raw["metres_per_second"].values())
-    monkeypatch.setattr("dynaforge.sim.scene.FINGER_SPEED_MARGIN", 1.2)
+    monkeypatch.setattr("dynaforge.sim.hand.SPEED_MARGIN", 1.2)
     (figure,) = bench_limits.finger_speed(CAN)
     assert not figure.ok
     assert figure.raw["metres_per_second"]["at once"] == pytest.approx(0.06, rel=0.02)

@@ -168,7 +168,7 @@ LABELS: dict[str, tuple[Callable[[Episode], Episode], str]] = {
         lambda e: failed(e, success=False, failure="the cat", checkpoint=1),
         "its failure is recorded as 'the cat'",
     ),
-    "checkpoint": (lambda e: failed(e, checkpoint=1), "its checkpoint is recorded as 1"),
+    "checkpoint": (lambda e: failed(e, checkpoint=3), "its checkpoint is recorded as 3"),
     "phase": (
         lambda e: replace(e, outcome=replace(e.outcome, phase="approach")),
         "its phase is recorded as 'approach'",

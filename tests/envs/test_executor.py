@@ -282,7 +282,7 @@ def test_a_reset_forgets_the_episode_before() -> None:
 def test_a_real_success_holds_its_predicate_at_the_end() -> None:
     env = ResidualEnv("can")
     trace = TrajectoryHash(env.world)
-    env.reset(options={"condition": condition(0, 5)})
+    env.reset(options={"condition": condition(0, 7)})
     done, info = False, {}
     while not done:
         _, _, done, _, info = env.step(np.zeros(5, np.float32))

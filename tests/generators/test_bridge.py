@@ -59,7 +59,7 @@ def share_that_acts(dataset: DemonstrationDataset, task: str, kind: str) -> list
 
 @pytest.fixture(scope="module")
 def can(tmp_path_factory: pytest.TempPathFactory) -> DemonstrationDataset:
-    return collected(tmp_path_factory.mktemp("data"), "can", 5, 1)
+    return collected(tmp_path_factory.mktemp("data"), "can", 6, 1)
 
 
 @pytest.mark.parametrize("task", IN_THE_DEFAULT_SUITE)

@@ -24,7 +24,7 @@ def condition(stratum: int, seed: int) -> Condition:
     return SPACE.draw(np.random.default_rng(seed), stratum, 8)
 
 
-LIFTED = condition(0, 5)
+LIFTED = condition(0, 7)
 CONDITIONS = [LIFTED, condition(1, 4), condition(2, 3), condition(4, 3)]
 RESIDUAL = ConstantResidual(np.array((0.1, -0.2, 0.15, 0.3, -0.4), np.float32))
 
