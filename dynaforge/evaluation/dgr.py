@@ -172,9 +172,9 @@ class DgrReport:
             "edges": list(self.edges),
             "bins": [asdict(count) for count in self.bins],
             "failures": dict(self.failures),
-            "under": {name: asdict(count) for name, count in self.under.items()},
-            "peak_forces": None if self.peak_forces is None else list(self.peak_forces),
             "derived": derived,
+            **({"under": {name: asdict(count) for name, count in self.under.items()}} if self.under else {}),
+            **({} if self.peak_forces is None else {"peak_forces": list(self.peak_forces)}),
         }
 
     @staticmethod

@@ -15,6 +15,7 @@ import pytest
 from dynaforge.geometry import Array, Pose, matrix_from_rotvec, rotation_z
 from dynaforge.planning.kinematics import ArmKinematics
 from dynaforge.sim import Condition, SimScene, franka
+from dynaforge.sim.hand import HandCommand, HandState
 from dynaforge.tasks import get_task
 from dynaforge.tasks.success import SuccessJudge
 from dynaforge.tasks.targets import DOWN_ALONG_Y
@@ -63,6 +64,9 @@ class Stage:
             self.client.resetJointState(self.robot.body, joint, width / 2)
         self.world._arm.reset(q=self.q)
         self.width = width if closing is None else closing
+        finger, late = (width / 2, width / 2), self.world._hand.state
+        told = (self.width / 2,) * len(late.waiting)  # so that the dead time is over
+        self.world._hand.restore(HandState(told, late.due, HandCommand(width / 2, finger, finger)))
 
     def put(self, name: str, position: Array, rotation: Array, spin: Array = STILL) -> None:
         """Put a free body somewhere, without velocity."""
