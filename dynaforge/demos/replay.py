@@ -86,9 +86,7 @@ class Replayer:
         if len(episode) and any(column is None for column in references):
             raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
         yield self.scene.reset(self.task.conditions.validate(episode.condition))
-        robot, late = self.scene.robot, 0
-        if self.task.setting.sensing == "real":
-            late = Delays.drawn_by(episode.condition).action
+        robot, late = self.scene.robot, Delays.drawn_by(episode.condition, self.task.setting.sensing).action
         commands = DelayLine([(robot.q_ready, robot.width_max)] * late)
         for q, width in zip(*references, strict=True) if len(episode) else ():
             yield self.scene.step(*commands.push((np.array(q), float(width))))

@@ -90,8 +90,8 @@ class World:
         robot = self.scene.robot
         self.reference = self.local.reset(robot.q_ready, robot.width_max)
         self.follower.reset(robot.q_ready, robot.width_max)
-        real = self._sensor is not None
-        self._commands = DelayLine([self.reference] * (Delays.drawn_by(condition).action if real else 0))
+        late = Delays.drawn_by(condition, self.task.setting.sensing).action
+        self._commands = DelayLine([self.reference] * late)
         self.sensed = self._sensor.reset(self.state, condition) if self._sensor is not None else self.state
         return self.state
 

@@ -32,8 +32,15 @@ class Delays:
     action: int = 0
 
     @staticmethod
-    def drawn_by(condition: Condition) -> Delays:
-        """Return the delays that a condition has with real sensing; its seed decides."""
+    def drawn_by(condition: Condition, sensing: Sensing = "real") -> Delays:
+        """Return the delays that a condition has: those that its seed decides with real sensing, none with ideal.
+
+        Args:
+            condition: The condition.
+            sensing: What is sensed.
+        """
+        if sensing == "ideal":
+            return Delays()
         rng = np.random.default_rng((condition.seed, _STREAM))
         return Delays(int(rng.integers(MOST_SENSING_DELAY + 1)), int(rng.integers(MOST_ACTION_DELAY + 1)))
 
