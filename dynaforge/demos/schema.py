@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -40,38 +40,32 @@ _BODY = {
     for name, column in BODY_COLUMNS.items()
 }
 
-_SENSED = "Recorded with real sensing only: as planner and policy saw it. "
-_SENSED_ROBOT = {
-    "q": Field(meaning=_SENSED + "Joint positions.", shape=(7,), unit="rad"),
-    "dq": Field(meaning=_SENSED + "Joint velocities.", shape=(7,), unit="rad/s"),
-    "ee_position": Field(meaning=_SENSED + "End-effector position.", shape=(3,), unit="m", frame="world"),
-    "ee_quat_wxyz": Field(meaning=_SENSED + "End-effector orientation.", shape=(4,), frame="world"),
-    "width": Field(meaning=_SENSED + "Opening between the fingers.", unit="m"),
+_ROBOT = {
+    "q": Field(meaning="Measured arm joint positions.", shape=(7,), unit="rad"),
+    "dq": Field(meaning="Measured arm joint velocities.", shape=(7,), unit="rad/s"),
+    "ee_position": Field(meaning="Measured end-effector position.", shape=(3,), unit="m", frame="world"),
+    "ee_quat_wxyz": Field(meaning="Measured end-effector orientation.", shape=(4,), frame="world"),
+    "width": Field(meaning="Measured opening between the fingers.", unit="m"),
 }
-_SENSED_BODY = {
-    name: Field(
-        meaning=_SENSED + field.meaning.replace("its centre of mass", "its origin"),
-        shape=field.shape,
-        unit=field.unit,
-        frame=field.frame,
-    )
-    for name, field in _BODY.items()
-}
+
+
+def _sensed(field: Field) -> Field:
+    """Return the field of a quantity as planner and policy saw it; a sensed velocity is that of a body's origin."""
+    meaning = field.meaning.removeprefix("Measured ").replace("its centre of mass", "its origin")
+    note = "Recorded with real sensing only: as planner and policy saw it. "
+    return replace(field, meaning=note + meaning[0].upper() + meaning[1:])
+
 
 SCHEMA: Mapping[str, Field] = MappingProxyType(
     {
         "time": Field(meaning="Simulated time since reset at which the step begins; increases.", unit="s"),
         "phase": Field(meaning="Index into `meta['phases']` of the phase that acted.", dtype="int16"),
         "gate": Field(meaning="Residual gate m of Eq. 5.", dtype="bool"),
-        "q": Field(meaning="Measured arm joint positions.", shape=(7,), unit="rad"),
-        "dq": Field(meaning="Measured arm joint velocities.", shape=(7,), unit="rad/s"),
-        "ee_position": Field(meaning="Measured end-effector position.", shape=(3,), unit="m", frame="world"),
-        "ee_quat_wxyz": Field(meaning="Measured end-effector orientation.", shape=(4,), frame="world"),
-        "width": Field(meaning="Measured opening between the fingers.", unit="m"),
+        **_ROBOT,
         **{f"object/<name>/{key}": field for key, field in _BODY.items()},
         **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
-        **{f"sensed/{key}": field for key, field in _SENSED_ROBOT.items()},
-        **{f"sensed/<name>/{key}": field for key, field in _SENSED_BODY.items()},
+        **{f"sensed/{key}": _sensed(field) for key, field in _ROBOT.items()},
+        **{f"sensed/<name>/{key}": _sensed(field) for key, field in _BODY.items()},
         "planner_action": Field(
             meaning="a_plan: target pose, then gripper width.", shape=("A",), unit="m, -, m", frame="base"
         ),

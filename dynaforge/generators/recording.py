@@ -70,17 +70,10 @@ class Recorder:
 
 def _sensed(states: Sequence[SceneState]) -> dict[str, Any]:
     """Return the columns of scenes as planner and policy saw them."""
-    columns: dict[str, Any] = {
-        "sensed/q": [s.q for s in states],
-        "sensed/dq": [s.dq for s in states],
-        "sensed/ee_position": [s.ee.position for s in states],
-        "sensed/ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
-        "sensed/width": [s.width for s in states],
-    }
+    columns = _robot(states)
     for name in states[0].objects:
-        bodies = [s.objects[name].columns for s in states]
-        columns |= {f"sensed/{name}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
-    return columns
+        columns |= _body(states, name, prefix=name)
+    return {f"sensed/{name}": column for name, column in columns.items()}
 
 
 def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
@@ -88,17 +81,28 @@ def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
     contacts = [s.touching[task.manipulated] for s in states]
     columns: dict[str, Any] = {
         "time": [s.time for s in states],
-        "q": [s.q for s in states],
-        "dq": [s.dq for s in states],
-        "ee_position": [s.ee.position for s in states],
-        "ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
-        "width": [s.width for s in states],
+        **_robot(states),
         "left_contact": [left for left, _ in contacts],
         "right_contact": [right for _, right in contacts],
     }
     free = {body.name for body in task.scene.bodies}
     for name in states[0].objects:
-        kind = "object" if name in free else "fixture"
-        bodies = [s.objects[name].columns for s in states]
-        columns |= {f"{kind}/{name}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
+        columns |= _body(states, name, prefix=f"{'object' if name in free else 'fixture'}/{name}")
     return columns
+
+
+def _robot(states: Sequence[SceneState]) -> dict[str, Any]:
+    """Return the columns of the robot."""
+    return {
+        "q": [s.q for s in states],
+        "dq": [s.dq for s in states],
+        "ee_position": [s.ee.position for s in states],
+        "ee_quat_wxyz": [s.ee.quat_wxyz for s in states],
+        "width": [s.width for s in states],
+    }
+
+
+def _body(states: Sequence[SceneState], name: str, *, prefix: str) -> dict[str, Any]:
+    """Return the columns of a body, whose names begin with a prefix."""
+    bodies = [s.objects[name].columns for s in states]
+    return {f"{prefix}/{column}": [body[column] for body in bodies] for column in BODY_COLUMNS}
