@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from dynaforge.sim.hand_target import TIP
 from dynaforge.tasks.phase import REDUCED_SPEED, Ending, Mode, Phase
-from dynaforge.tasks.predicates import All, Grasped, Lifted, Predicate, Reached, Within
+from dynaforge.tasks.predicates import All, Around, Grasped, Lifted, Predicate, Reached, Released, SupportedBy, Within
 from dynaforge.tasks.targets import Above, Grip, Over, Raised
 
 Point = tuple[float, float, float]
@@ -64,12 +66,12 @@ def insertion_phases(
     hole: str,
     tip: Point,
     *,
+    grip: float,
     rim: float,
     heights: tuple[float, float, float],
     precision: float,
     entered: Predicate,
     inside: Predicate,
-    released: Predicate,
     fails: tuple[Ending, ...],
 ) -> tuple[Phase, ...]:
     """Return the phases that carry an object over a moving hole, follow it, put the tip in, go down and let go.
@@ -81,45 +83,33 @@ def insertion_phases(
         grasped: The object.
         hole: What it goes into; its frame is in the middle of its floor.
         tip: The end of the object that goes in first, in the object's frame, metres.
+        grip: Height of the hand above the object's middle while it holds it, metres.
         rim: Height of the hole's rim above the floor, metres; the fingertips stay 4 mm above it.
         heights: Height of the tip above the floor while it waits, once it has entered, and at the end, metres.
         precision: How near the tip must come to its place above the hole before it goes down, metres.
         entered: The tip is in the mouth of the hole.
         inside: The object is where it belongs.
-        released: It stays there by itself, and the hand that let go is still around it.
         fails: The ways in which the hand may lose the object.
     """
     hover, low, lowest = (Over(hole, grasped, height, tool=tip, upright=True) for height in heights)
     aligned = Within(grasped, hole, precision, heights[0] + precision, tool=tip)
     above = rim + 0.004 + TIP
+    # The hand lets go with the tip at the last height and stays: dropped in from above the mouth, it would be farther.
+    released = All((inside, SupportedBy(grasped, hole), Released(grasped), Around(grasped, grip + heights[2] + 0.02)))
+    down = partial(
+        Phase,
+        mode=Mode.IK,
+        width=0.0,
+        gate=True,
+        lowest=above,
+        ramp=REDUCED_SPEED,
+        timeout=0.8,
+        fails=fails,
+    )
     return (
         *_carry_and_align(hole, hover, lowest=above, aligned=aligned, fails=fails),
-        Phase(
-            "enter",
-            Mode.IK,
-            low,
-            width=0.0,
-            gate=True,
-            lowest=above,
-            done=entered,
-            ramp=REDUCED_SPEED,
-            timeout=0.8,
-            failure=f"missed {hole}",
-            fails=fails,
-        ),
-        Phase(
-            "insert",
-            Mode.IK,
-            lowest,
-            width=0.0,
-            gate=True,
-            lowest=above,
-            done=inside,
-            ramp=REDUCED_SPEED,
-            timeout=0.8,
-            failure="jammed",
-            fails=fails,
-        ),
+        down("enter", target=low, done=entered, failure=f"missed {hole}"),
+        down("insert", target=lowest, done=inside, failure="jammed"),
         Phase(
             "release",
             Mode.IK,

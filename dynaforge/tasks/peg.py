@@ -20,8 +20,6 @@ from dynaforge.tasks.predicates import (
     Fallen,
     Not,
     OnTable,
-    Released,
-    SupportedBy,
     Upright,
     Within,
 )
@@ -88,8 +86,6 @@ INSIDE = All((Within("peg", "hole", 0.006, 0.4 * DEPTH, floor=-0.005, tool=TIP),
 IN_HAND = (("slipped", Not(Around("peg", GRIP + 0.02))), ("slipped", Not(Upright("peg", 0.5))))
 # Heights of the lower end above the hole's floor, metres.
 HOVER, ENTERED, INSERTED = DEPTH + 0.010, DEPTH - 0.010, 0.25 * DEPTH
-# The hand lets go with the tip at INSERTED and stays: dropped in from above the mouth, it would be farther away.
-RELEASED = All((INSIDE, SupportedBy("peg", "hole"), Released("peg"), Around("peg", GRIP + INSERTED + 0.02)))
 
 TASK = Task(
     name="peg",
@@ -115,12 +111,12 @@ TASK = Task(
             "peg",
             "hole",
             TIP,
+            grip=GRIP,
             rim=DEPTH,
             heights=(HOVER, ENTERED, INSERTED),
             precision=0.008,
             entered=Within("peg", "hole", 0.006, DEPTH - 0.005, tool=TIP),
             inside=INSIDE,
-            released=RELEASED,
             fails=IN_HAND,
         ),
     ),

@@ -20,8 +20,6 @@ from dynaforge.tasks.predicates import (
     Fallen,
     Not,
     OnTable,
-    Released,
-    SupportedBy,
     Upright,
     Within,
 )
@@ -96,8 +94,6 @@ IN_HAND = (
 )
 # Heights of the tip above the holder's floor, metres.
 HOVER, ENTERED, INSERTED = DEPTH + 0.015, DEPTH - 0.02, 0.25 * DEPTH
-# The hand lets go with the tip at INSERTED and stays: dropped in from above the mouth, it would be farther away.
-RELEASED = All((INSIDE, SupportedBy("pen", "holder"), Released("pen"), Around("pen", GRIP + INSERTED + 0.02)))
 
 TASK = Task(
     name="pen",
@@ -123,12 +119,12 @@ TASK = Task(
             "pen",
             "holder",
             TIP,
+            grip=GRIP,
             rim=DEPTH,
             heights=(HOVER, ENTERED, INSERTED),
             precision=0.012,
             entered=Within("pen", "holder", 0.02, DEPTH - 0.01, tool=TIP),
             inside=INSIDE,
-            released=RELEASED,
             fails=IN_HAND,
         ),
     ),
