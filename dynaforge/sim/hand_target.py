@@ -61,6 +61,15 @@ class HandTarget:
         return np.concatenate((self.pose.position, self.pose.quat_wxyz, (self.width,)))
 
 
+def under_palm(top: float) -> float:
+    """Return the least height of the end effector above an object's origin that keeps the palm off the object.
+
+    Args:
+        top: Height of its highest point above its origin, metres; the palm stays 3 mm above it.
+    """
+    return top + 0.003 - PALM
+
+
 def raised_to(pose: Pose, height: float) -> Pose:
     """Return a pose, moved straight up to a height in the world if it is lower."""
     x, y, z = pose.position.tolist()

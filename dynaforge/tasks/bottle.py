@@ -9,7 +9,7 @@ import numpy as np
 
 from dynaforge.geometry import Array, Pose, rotation_z
 from dynaforge.sim import Condition
-from dynaforge.sim.hand_target import PALM
+from dynaforge.sim.hand_target import under_palm
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
@@ -27,8 +27,7 @@ HEIGHT = (WIDE + NARROW) / 2
 TURN = HEIGHT / math.tan(TILT)
 """Radius of the circle on which its origin moves, metres: it rolls like a cone about its tip, which is on the table."""
 REACH = 0.60
-# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
-UNDER_PALM = 2 * WIDE - HEIGHT + 0.003 - PALM
+UNDER_PALM = under_palm(2 * WIDE - HEIGHT)
 
 CONDITIONS = ConditionSpace(
     task="bottle",

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
-from dynaforge.sim.hand_target import PALM
+from dynaforge.sim.hand_target import under_palm
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
@@ -20,8 +20,7 @@ from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.033
 REACH = 0.60
-# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
-UNDER_PALM = RADIUS + 0.003 - PALM
+UNDER_PALM = under_palm(RADIUS)
 
 CONDITIONS = ConditionSpace(
     task="can",

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynaforge.sim import Condition
-from dynaforge.sim.hand_target import PALM, TIP
+from dynaforge.sim.hand_target import TIP, under_palm
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
 from dynaforge.tasks.carriers import DRIVEN, carrier
 from dynaforge.tasks.conditions import ConditionSpace
@@ -37,8 +37,7 @@ from dynaforge.tasks.task import Mode, Phase, ResidualSpec, Task
 
 RADIUS = 0.031
 REACH = 0.64
-# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
-UNDER_PALM = RADIUS + 0.003 - PALM
+UNDER_PALM = under_palm(RADIUS)
 # Above the bowl's: the fingertips stay 4 mm above its rim, which is 22 mm high.
 ABOVE_RIM = 0.022 + 0.004 + TIP
 ARM, SWING = 0.08, 0.08  # arm and amplitude of the bowl's carrier, metres

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynaforge.sim import Condition
-from dynaforge.sim.hand_target import PALM
+from dynaforge.sim.hand_target import under_palm
 from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.phase import REDUCED_SPEED
@@ -21,8 +21,7 @@ HEIGHT = 0.026
 WHEEL_RADIUS = 0.016
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 REACH = 0.60
-# Least height of the end effector above its origin, metres: the palm stays 3 mm above its top.
-UNDER_PALM = 0.0285 + 0.003 - PALM
+UNDER_PALM = under_palm(0.0285)
 HOVER = 0.06
 OPEN = 0.072
 """Opening of the fingers around the body of 56 mm, metres: as much room as a can has in a fully open hand."""
