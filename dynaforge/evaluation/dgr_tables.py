@@ -89,10 +89,10 @@ def _force_columns(reports: Iterable[DgrReport]) -> tuple[str, ...]:
 
 
 def _force_cells(report: DgrReport, columns: Iterable[str]) -> tuple[str, ...]:
-    cells = {name: f"{count.rate:.1%}" for name, count in report.under.items()}
+    found = {name: f"{count.rate:.1%}" for name, count in report.under.items()}
     if report.peak_forces is not None:
-        cells[PEAKS] = "/".join(f"{newtons:.0f}" for newtons in report.peak_forces)
-    return tuple(cells.get(name, "-") for name in columns)
+        found[PEAKS] = "/".join(f"{newtons:.0f}" for newtons in report.peak_forces)
+    return tuple(found.get(name, "-") for name in columns)
 
 
 def _mean_under(reports: Sequence[DgrReport], name: str) -> str:

@@ -15,8 +15,6 @@ from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.hand import weigh_fingers
 from dynaforge.sim.robot import RobotDescription
 
-GRAVITY = 9.81  # m/s^2
-
 
 class ArmDynamics:
     """The arm's equation of motion, M(q) ddq + h(q, dq) = tau, with its hand half open and empty.

@@ -52,6 +52,10 @@ class ArmMotors:
         robot: Limits and margins.
         substeps: Number of substeps in a control step.
         control_dt: Duration of a control step, seconds.
+
+    Attributes:
+        dynamics: The arm's equation of motion.
+        last: The commands of the latest control step.
     """
 
     def __init__(
@@ -89,6 +93,7 @@ class ArmMotors:
         self._gains = [gain * POSITION_GAIN] * 7
         self._q = self._robot.q_ready if q is None else q
         self._mean, self._dq = np.zeros(7), np.zeros(7)
+        self.last: list[ArmCommand] = []
 
     def plan(self, q: Array) -> list[ArmCommand]:
         """Return the commands of the control step that ends at joint positions q (rad, shape (7,)), and move on."""
@@ -105,7 +110,8 @@ class ArmMotors:
         torques = np.minimum(np.maximum(self._blend @ torques, -self._most), self._most)
         self._q, self._mean, self._dq = q, mean, dq
         path, velocities = self._position @ ends, self._velocity @ ends / dt
-        return list(map(ArmCommand, path.tolist(), velocities.tolist(), torques.tolist()))
+        self.last = list(map(ArmCommand, path.tolist(), velocities.tolist(), torques.tolist()))
+        return self.last
 
     def run(self, command: ArmCommand) -> None:
         """Command the motors for the next substep."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dynaforge.geometry import Array
-from dynaforge.sim.arm_motors import ArmCommand, ArmMotors
+from dynaforge.sim.arm_motors import ArmCommand
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.hand import HandCommand
 from dynaforge.sim.scene import SimScene
@@ -45,19 +45,10 @@ def motor_commands(
     """
     spec, fixtures = scene.spec, scene._bullet.fixtures.values()
     state, commands = scene.reset(condition), []
-    robot = scene._bullet.robot
-    planner = ArmMotors(  # a second one, which only plans
-        scene._bullet.client,
-        robot.body,
-        robot.arm,
-        scene.robot,
-        substeps=spec.substeps,
-        control_dt=spec.control_dt,
-    )
     for q, width in references:
         due = [fixture.due(state.time + spec.control_dt, spec.control_dt) for fixture in fixtures]
-        arm, state = planner.plan(q), scene.step(q, width)
-        commands.append(MotorCommands(arm, scene._hand.last, due))
+        state = scene.step(q, width)
+        commands.append(MotorCommands(scene._arm.last, scene._hand.last, due))
     return commands
 
 

@@ -10,9 +10,7 @@ import numpy as np
 from dynaforge.geometry import Array
 from dynaforge.sim.arm_dynamics import ArmDynamics
 from dynaforge.sim.loads import NO_LOADS, Loads, StepLoads
-from dynaforge.sim.reflex import THRESHOLDS, ReflexName, Thresholds
-
-NAMED: tuple[ReflexName, ...] = ("contact", "standard", "strict")
+from dynaforge.sim.reflex import NAMED, THRESHOLDS, Thresholds
 
 
 class ForceWatch:
@@ -51,7 +49,7 @@ class ForceWatch:
     def loads(self) -> Loads:
         """The greatest loads of the episode so far."""
         peak_force, force, peak_torque, torque = self._peaks.tolist()
-        shares = dict(zip(NAMED, self._most_shares.tolist(), strict=False))
+        shares = dict(zip(NAMED, self._most_shares[:-1].tolist(), strict=True))  # the last are those of the reflex
         return Loads(peak_force=peak_force, force=force, peak_torque=peak_torque, torque=torque, **shares)
 
     def see(self) -> None:

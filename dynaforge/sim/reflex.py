@@ -45,6 +45,10 @@ THRESHOLDS: Mapping[ReflexName, Thresholds] = MappingProxyType(
 contact work. "standard": Franka's ROS 2 controllers. "strict": what franka_ros shipped. "off": no reflex."""
 
 
+NAMED = tuple(name for name in REFLEX_NAMES if name != "off")
+"""The thresholds that can be exceeded, softest first."""
+
+
 def thresholds(reflex: ReflexName | float) -> Thresholds:
     """Return the thresholds of a name, or those of "contact" with another force.
 
@@ -76,9 +80,8 @@ def named_within(reflex: ReflexName | float) -> tuple[ReflexName, ...]:
     own = thresholds(reflex)
     return tuple(
         name
-        for name, named in THRESHOLDS.items()
-        if name != "off"
-        and named.force <= own.force
+        for name in NAMED
+        if (named := THRESHOLDS[name]).force <= own.force
         and named.moment <= own.moment
         and (named.torque <= own.torque).all()
     )

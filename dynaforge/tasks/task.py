@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from dynaforge.sim.checks import (
     check_choice,
@@ -208,13 +208,9 @@ class Task:
         Raises:
             ValueError: A value is unknown or out of range.
         """
-        now = self.setting
-        setting = Setting(
-            reflex=now.reflex if reflex is None else reflex,
-            physics=now.physics if physics is None else physics,
-            sensing=now.sensing if sensing is None else sensing,
-        )
-        return self if setting == now else replace(self, setting=setting)
+        asked: dict[str, Any] = {"reflex": reflex, "physics": physics, "sensing": sensing}
+        setting = replace(self.setting, **{name: value for name, value in asked.items() if value is not None})
+        return self if setting == self.setting else replace(self, setting=setting)
 
     @property
     def manipulated(self) -> str:
