@@ -20,13 +20,6 @@ TASK = get_task("can")
 CONDITION = TASK.conditions.draw(np.random.default_rng(5), 4, 8)
 
 
-@pytest.fixture(scope="module")
-def scene():
-    scene = SimScene(TASK.scene)
-    yield scene
-    scene.close()
-
-
 def late(delay: float) -> Condition:
     """The condition with a dead time of the hand, seconds."""
     return replace(CONDITION, hidden={"hand_delay": delay})

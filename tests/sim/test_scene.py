@@ -17,13 +17,6 @@ TASK = get_task("can")
 CONDITION = TASK.conditions.draw(np.random.default_rng(5), 4, 8)
 
 
-@pytest.fixture(scope="module")
-def scene():
-    scene = SimScene(TASK.scene)
-    yield scene
-    scene.close()
-
-
 def bits(state: SceneState) -> bytes:
     body = state.objects["can"]
     arrays = (state.q, state.dq, state.ee.position, state.ee.rotation, body.pose.position, body.pose.rotation)
