@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline  # type: ignore[import-untyped, unused-ignore]
 
 from dynaforge.geometry import Array, JointTrajectory
-from dynaforge.planning.dynamics import ArmDynamics
 from dynaforge.planning.lazy_pyplot import lazy_pyplot
+from dynaforge.sim.arm_dynamics import ArmDynamics
 from dynaforge.sim.robot import RobotDescription
 
 with lazy_pyplot():

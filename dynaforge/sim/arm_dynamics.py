@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, JointTrajectory
 from dynaforge.sim.bullet import connect, joints_and_links
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.hand import weigh_fingers
@@ -42,6 +42,29 @@ class ArmDynamics:
         """
         torque: Array = pin.rnea(self._model, self._data, q, dq, ddq)
         return torque.copy()
+
+    def along_line(self, q: Array, tangent: Array) -> tuple[Array, Array, Array]:
+        """Return the torques at points of a straight edge, shape (n, 7) each.
+
+        Args:
+            q: Joint positions on the edge, radians, shape (n, 7).
+            tangent: Change of the joints per path length, shape (7,).
+
+        Returns:
+            Of the weight, Nm; per path acceleration; per squared path speed.
+        """
+        still = np.zeros_like(tangent)
+        weight = np.array([self.torque(point, still, still) for point in q])
+        inertia = np.array([self.torque(point, still, tangent) for point in q]) - weight
+        return weight, inertia, np.array([self.torque(point, tangent, still) for point in q]) - weight
+
+    def torques(self, trajectory: JointTrajectory) -> tuple[Array, Array]:
+        """Return the torques of the weight alone and of the motion at every sample, Nm, shape (n, 7) each."""
+        still = np.zeros(trajectory.q.shape[1])
+        samples = zip(trajectory.q, trajectory.dq, trajectory.ddq, strict=True)
+        rows = [(self.torque(q, still, still), self.torque(q, dq, ddq)) for q, dq, ddq in samples]
+        weight, moving = np.array(rows).swapaxes(0, 1)
+        return weight, moving
 
     def jacobian(self, q: Array) -> Array:
         """Return the end effector's Jacobian in world axes, shape (6, 7): linear rows (m/rad), then angular ones."""

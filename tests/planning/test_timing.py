@@ -6,8 +6,8 @@ from toppra.constraint import JointTorqueConstraint
 
 from dynaforge.geometry import Array, JointTrajectory
 from dynaforge.planning import timing
-from dynaforge.planning.dynamics import ArmDynamics
 from dynaforge.planning.timing import Line, PathTimer, Spline, join
+from dynaforge.sim.arm_dynamics import ArmDynamics
 from dynaforge.sim.robot import RobotDescription
 
 DT = 1 / 30
