@@ -12,7 +12,13 @@ from dynaforge.geometry import Array
 RETURN_TOLERANCE = 1e-9  # Differences below this are rounding of reward sums, not outcomes.
 
 
-def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: float = 1e-4) -> Array:
+def group_advantages(
+    returns: Array,
+    *,
+    scale: AdvantageScale = "group",
+    success: NDArray[np.bool_] | None = None,
+    eps: float = 1e-4,
+) -> Array:
     """Compare each rollout with the other rollouts of its condition.
 
     Eq. 7. The paper leaves the standard deviation open; this is the sample one (ddof=1), as common GRPO
@@ -21,14 +27,18 @@ def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: fl
     Args:
         returns: Episodic returns, shape (N, K).
         scale: "group" divides by the group's deviation (the paper), "batch" by that of all centred returns
-            given here, "none" only centres.
+            given here, "none" only centres. "learnability" multiplies by 8 p (1 - p), p being the group's share of
+            successes: a group of equal halves then counts about as under "group", and a lone dissenter, which the
+            division makes as loud as it, counts least.
+        success: Terminal success, shape (N, K); read by "learnability" only.
         eps: Added to the deviation: keeps float noise from becoming an advantage.
 
     Returns:
         Advantages, shape (N, K); each row has mean zero.
 
     Raises:
-        ValueError: K < 2, since a lone rollout has nothing to be compared with; or an unknown scale.
+        ValueError: K < 2, since a lone rollout has nothing to be compared with; an unknown scale; or
+            "learnability" without success.
     """
     check_choice("scale_advantage", scale)
     if returns.ndim != 2 or returns.shape[1] < 2:
@@ -40,6 +50,12 @@ def group_advantages(returns: Array, *, scale: AdvantageScale = "group", eps: fl
     centred = np.where(equal, 0.0, returns - returns.mean(axis=1, keepdims=True))
     if scale == "none" or centred.size == 0:
         return centred
+    if scale == "learnability":
+        if success is None:
+            raise ValueError("scale_advantage='learnability' weighs a group by its successes, and none are given.")
+        # p (1 - p) is at most 1/4, and returns lie at most 1/2 from the mean of such a group: the largest is 1.
+        rate = success.mean(axis=1, keepdims=True)
+        return np.asarray(8.0 * rate * (1.0 - rate) * centred)
     # ddof=1: K returns are a sample of what the policy earns. Dividing by K would underestimate their spread, by 6.5 %
     # at K = 8, and so enlarge every advantage of a small group.
     deviation = centred.std(axis=1, ddof=1, keepdims=True) if scale == "group" else centred.std(ddof=1)
@@ -57,8 +73,9 @@ def frontier_mask(
     Args:
         success: Terminal success, shape (N, K).
         returns: Episodic returns, shape (N, K); read by "mixed_return" only.
-        group_filter: "mixed_success" (the paper), "mixed_return" (any difference in return, for envs without a
-            success signal), or "none" (vanilla GRPO: all groups).
+        group_filter: "mixed_success" (the paper), "margin" (at least two successes and two failures, so that no
+            group is kept for a lone dissenter), "mixed_return" (any difference in return, for envs without a success
+            signal), or "none" (vanilla GRPO: all groups).
 
     Returns:
         True for kept groups, shape (N,).
@@ -71,7 +88,8 @@ def frontier_mask(
         return np.ones(len(returns), dtype=bool)
     if group_filter == "mixed_return":
         return np.asarray(np.ptp(returns, axis=1) > RETURN_TOLERANCE)
-    return np.asarray(success.any(axis=1) & ~success.all(axis=1))
+    wins, least = success.sum(axis=1), 2 if group_filter == "margin" else 1
+    return np.asarray((wins >= least) & (wins <= success.shape[1] - least))
 
 
 def clipped_surrogate(

@@ -15,10 +15,10 @@ from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedul
 from stable_baselines3.common.utils import FloatSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from dynaforge.algos.advantages import group_advantages
-from dynaforge.algos.buffer import GroupRolloutBuffer, KeptTransitions
+from dynaforge.algos.buffer import GroupRolloutBuffer
 from dynaforge.algos.collection import CollectionSettings, run_rounds
 from dynaforge.algos.group_results import GroupResults
+from dynaforge.algos.learning import learn_from
 from dynaforge.algos.options import (
     AdvantageScale,
     GroupFilter,
@@ -33,7 +33,6 @@ from dynaforge.algos.policies import POLICY_ALIASES
 from dynaforge.algos.resumable import ResumableAlgorithm
 from dynaforge.algos.stopwatch import Stopwatch
 from dynaforge.algos.success_signal import warn_of_unknown_success
-from dynaforge.algos.update import UpdateSettings, update_policy
 from dynaforge.geometry import Array
 from dynaforge.sampling.dispatch import EpisodeDispatcher
 from dynaforge.sampling.sampler import ConditionSampler, condition_sampler_of
@@ -64,10 +63,12 @@ class FrontierGRPO(ResumableAlgorithm):
         batch_size: Largest minibatch; None takes the whole update at once.
         clip_range: How far the probability ratio may fall below 1; float or schedule.
         clip_range_high: How far it may rise above 1; float or schedule. None takes `clip_range`.
-        group_filter: "mixed_success" (the paper; needs info["is_success"]), "mixed_return", or "none".
+        group_filter: "mixed_success" (the paper), "margin" (two successes and two failures at least; both need
+            info["is_success"]), "mixed_return", or "none"; see `frontier_mask`.
         stratified: One condition from each of N strata; False draws all from the whole range.
         condition_sampler: Source of conditions. Default: the env's own `condition_sampler`, else reset seeds.
-        scale_advantage: Divide by the deviation of the "group", of the "batch", or "none".
+        scale_advantage: Divide by the deviation of the "group" (the paper), of the "batch", or "none"; or multiply by
+            the group's "learnability", see `group_advantages`.
         scale_learning_rate: "failures" multiplies the rate by the share of the iteration's rollouts that failed, so
             that a policy which mostly succeeds changes little; needs info["is_success"]. Not in the paper: "none".
         loss_agg: Mean over transitions ("step") or over episodes ("episode").
@@ -265,17 +266,13 @@ class FrontierGRPO(ResumableAlgorithm):
         """Update the policy on the kept groups (Eq. 7-9); without any, change nothing but the counters."""
         assert self._results is not None
         with Stopwatch() as watch:
-            # Eq. 8 comes before Eq. 7: with scale_advantage="batch" the deviation is then that of the groups that take
-            # part, and does not shrink when many others earn equal returns throughout.
-            keep = self._results.kept(self.group_filter)
-            advantages = np.zeros_like(self._results.returns)
-            advantages[keep] = group_advantages(self._results.returns[keep], scale=self.scale_advantage)
-            kept = self.rollout_buffer.keep(keep, advantages, loss_agg=self.loss_agg)
-            if len(kept):
-                self.policy.set_training_mode(True)
-                self._update(kept, self._anchors(keep))
-            else:
-                self.skipped_updates += 1
+            kept, report = learn_from(self, self._results)
+        if report is None:
+            self.skipped_updates += 1
+        else:
+            self._n_updates += report.n_epochs
+            self.optimizer_steps += report.optimizer_steps
+            report.log(self.logger)
         self.transitions_used += len(kept)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         self.logger.record("train/optimizer_steps", self.optimizer_steps)
@@ -284,17 +281,3 @@ class FrontierGRPO(ResumableAlgorithm):
         self.logger.record("frontier/skipped_updates", self.skipped_updates)
         watch.log(self.logger, "optimize")
         self._end_iteration()
-
-    def _anchors(self, keep: NDArray[np.bool_]) -> KeptTransitions | None:
-        """Return the transitions of the groups that were dropped because they succeeded throughout."""
-        results = self._results
-        if not self.anchor_coef or results is None or results.success is None:
-            return None
-        return self.rollout_buffer.keep(results.success.all(axis=1) & ~keep, np.zeros_like(results.returns))
-
-    def _update(self, kept: KeptTransitions, anchors: KeptTransitions | None) -> None:
-        settings = UpdateSettings.of(self, self._current_progress_remaining)
-        report = update_policy(self.policy, kept, settings, rng=self.minibatch_rng, anchors=anchors)
-        self._n_updates += report.n_epochs
-        self.optimizer_steps += report.optimizer_steps
-        report.log(self.logger)

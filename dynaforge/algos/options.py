@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
 
-GroupFilter = Literal["mixed_success", "mixed_return", "none"]
-AdvantageScale = Literal["group", "batch", "none"]
+GroupFilter = Literal["mixed_success", "margin", "mixed_return", "none"]
+AdvantageScale = Literal["group", "batch", "learnability", "none"]
 RateScale = Literal["none", "failures"]
 LossAggregation = Literal["step", "episode"]
 TimestepCount = Literal["active", "gated", "nominal"]
@@ -184,6 +184,8 @@ def check_grpo_options(model: Any) -> None:
         value = getattr(model, name)
         if value is not None or name not in OPTIONAL:
             check_whole(name.removeprefix("_"), value, least, why)
+    if model.group_filter == "margin":
+        check_whole("group_size", model.group_size, 4, "group_filter='margin' needs two successes and two failures")
     for name in WEIGHTS:
         check_number(name, getattr(model, name))
     check_number("max_grad_norm", model.max_grad_norm, above=0.0, finite=False)  # infinity never clips

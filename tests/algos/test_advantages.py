@@ -42,6 +42,18 @@ def test_group_advantages_ignore_the_scale_of_returns_and_none_does_not():
     )
 
 
+def test_a_group_weighs_by_its_learnability_and_not_by_the_inverse_of_its_spread():
+    success = np.array([[1, 0, 0, 0], [1, 1, 0, 0]], dtype=bool)
+    returns = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.5, 0.5]])
+    advantages = group_advantages(returns, scale="learnability", success=success)
+    # 8 * 3/16 = 1.5 times 3/4 and -1/4; 8 * 1/4 = 2 times 1/4 and -1/4
+    np.testing.assert_array_equal(advantages, [[1.125, -0.375, -0.375, -0.375], [0.5, 0.5, -0.5, -0.5]])
+    uniform = group_advantages(np.array([[0.0, 0.5]]), scale="learnability", success=np.zeros((1, 2), bool))
+    assert not uniform.any()
+    with pytest.raises(ValueError, match="scale_advantage='learnability'"):
+        group_advantages(returns, scale="learnability")
+
+
 def test_a_lone_rollout_is_refused():
     with pytest.raises(ValueError, match="K >= 2"):
         group_advantages(np.zeros((3, 1)))
@@ -53,6 +65,13 @@ def test_filter_reads_success_and_not_return():
     assert frontier_mask(success, returns).tolist() == [False, False, True]
     assert frontier_mask(success, returns, group_filter="mixed_return").tolist() == [True, False, True]
     assert frontier_mask(success, returns, group_filter="none").tolist() == [True, True, True]
+
+
+def test_a_margin_keeps_no_group_for_a_lone_dissenter():
+    success = np.tril(np.ones((9, 8), dtype=bool), k=-1)  # 0 to 8 wins
+    kept = frontier_mask(success, success.astype(float), group_filter="margin")
+    assert np.flatnonzero(kept).tolist() == [2, 3, 4, 5, 6]
+    assert np.flatnonzero(frontier_mask(success, success.astype(float))).tolist() == [1, 2, 3, 4, 5, 6, 7]
 
 
 def test_unknown_names_list_the_valid_ones_and_the_closest():

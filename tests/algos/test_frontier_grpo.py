@@ -101,6 +101,14 @@ def test_only_gated_transitions_are_used_and_active_steps_are_counted():
     assert model.transitions_used == 16 * 2
 
 
+def test_a_margin_uses_fewer_transitions_of_the_same_rollouts():
+    mixed, margin = (small(envs(4), n_groups=16, group_filter=f).learn(1) for f in ("mixed_success", "margin"))
+    np.testing.assert_array_equal(mixed.last_group_success, margin.last_group_success)
+    wins = mixed.last_group_success.sum(axis=1)
+    assert mixed.transitions_used == 8 * ((wins >= 1) & (wins <= 3)).sum()
+    assert margin.transitions_used == 8 * (wins == 2).sum() > 0
+
+
 def test_nominal_steps_count_idle_envs_too():
     model = small(envs(5), timesteps="nominal").learn(1)
     assert model.num_timesteps > 16 * 3
@@ -333,7 +341,9 @@ def test_kl_penalty_holds_the_policy_back(logged):
     assert moved[100.0] < 0.5 * moved[0.0]
 
 
-@pytest.mark.parametrize("option", [{"loss_agg": "episode"}, {"scale_advantage": "batch"}, {"scale_advantage": "none"}])
+@pytest.mark.parametrize(
+    "option", [{"loss_agg": "episode"}, *({"scale_advantage": scale} for scale in ("batch", "learnability", "none"))]
+)
 def test_options_change_the_update(option):
     env = partial(envs, 4, short_when_easy=True)
     plain, other = (

@@ -26,6 +26,7 @@ from dynaforge.sampling.vector_env import SharedMemoryVecEnv
         ({"group_size": 1}, "group_size is 1"),
         ({"n_groups": 0}, "n_groups is 0"),
         ({"group_filter": "mixed_sucess"}, "Did you mean 'mixed_success'"),
+        ({"group_filter": "margin", "group_size": 3}, "group_size is 3, but must be at least 4"),
         ({"scale_advantage": "std"}, "Unknown scale_advantage 'std'"),
         ({"loss_agg": "steps"}, "Did you mean 'step'"),
         ({"timesteps": "all"}, "'active', 'gated', 'nominal'"),
@@ -77,6 +78,15 @@ def test_every_seed_works(seed):
 def test_mixed_success_on_an_env_without_success_names_the_remedy():
     with pytest.raises(ValueError, match="group_filter='mixed_return'"):
         small(DummyVecEnv([lambda: gym.make("CartPole-v1")])).learn(1)
+
+
+@pytest.mark.parametrize(
+    ("option", "remedy"),
+    [({"group_filter": "margin"}, "group_filter='mixed_return'"), ({"scale_advantage": "learnability"}, "='group'")],
+)
+def test_what_reads_success_names_its_remedy_on_an_env_without(option, remedy):
+    with pytest.raises(ValueError, match=remedy):
+        small(DummyVecEnv([lambda: gym.make("CartPole-v1")]), **{"group_filter": "none"} | option).learn(1)
 
 
 def test_a_rate_by_failures_on_an_env_without_success_names_the_remedy():

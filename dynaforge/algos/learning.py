@@ -1,0 +1,48 @@
+"""The learning side of an iteration: from the results of its groups to a changed policy (Eq. 7-9)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynaforge.algos.advantages import group_advantages
+from dynaforge.algos.buffer import KeptTransitions
+from dynaforge.algos.group_results import GroupResults
+from dynaforge.algos.update import UpdateReport, UpdateSettings, update_policy
+
+
+def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, UpdateReport | None]:
+    """Update a FrontierGRPO's policy on the groups that its filter keeps.
+
+    Args:
+        model: Has the options, the policy, and the transitions of the groups in its rollout buffer.
+        results: Returns and success of all groups of the iteration.
+
+    Returns:
+        The transitions that were kept, and what the update did; None if none were kept, and nothing was changed.
+    """
+    # Eq. 8 comes before Eq. 7: with scale_advantage="batch" the deviation is then that of the groups that take part,
+    # and does not shrink when many others earn equal returns throughout.
+    keep = results.kept(model.group_filter)
+    advantages = np.zeros_like(results.returns)
+    success = None if results.success is None else results.success[keep]
+    advantages[keep] = group_advantages(results.returns[keep], scale=model.scale_advantage, success=success)
+    kept = model.rollout_buffer.keep(keep, advantages, loss_agg=model.loss_agg)
+    if not len(kept):
+        return kept, None
+    model.policy.set_training_mode(True)
+    settings = UpdateSettings.of(model, model._current_progress_remaining)
+    anchors = _anchors(model, results, keep)
+    return kept, update_policy(model.policy, kept, settings, rng=model.minibatch_rng, anchors=anchors)
+
+
+def _anchors(model: Any, results: GroupResults, keep: NDArray[np.bool_]) -> KeptTransitions | None:
+    """Return the transitions of the groups that were dropped because they succeeded throughout."""
+    if not model.anchor_coef or results.success is None:
+        return None
+    anchors: KeptTransitions = model.rollout_buffer.keep(
+        results.success.all(axis=1) & ~keep, np.zeros_like(results.returns)
+    )
+    return anchors
