@@ -11,6 +11,7 @@ from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.generators import ConditionSource, GaveUp, Goal, collect, run_attempts
+from dynaforge.generators.by_name import setting_line
 from dynaforge.generators.collecting import Engine
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.ray_engine import connect_to_ray, run_attempts_on_ray
@@ -20,8 +21,8 @@ def run(options: argparse.Namespace) -> int:
     """Collect what is missing; return 1 when that is less than was asked for."""
     goal = _goal(options)
     task = chosen_task(options)
-    print(f"{task.name}: {task.setting}")
     generator = generator_of(options.generator, task, options)
+    print(f"{task.name}: {setting_line(task, [generator])}")
     engine = _engine(options)
     out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)

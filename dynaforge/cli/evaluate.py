@@ -6,11 +6,12 @@ import argparse
 import time
 from itertools import islice
 
+from dynaforge.cli.arguments.setting import chosen_parts
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, task_table
 from dynaforge.generators import Generator
-from dynaforge.generators.by_name import make_generator
+from dynaforge.generators.by_name import make_generator, setting_line
 from dynaforge.generators.measure import measure
 from dynaforge.reports.evaluation import BINS, gains_over_first, reports_of, write_evaluation, write_task_table
 from dynaforge.tasks import Task
@@ -23,9 +24,11 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
-    for setting in dict.fromkeys(str(task.setting) for task in tasks):  # a task file may have a setting of its own
-        print(f"{', '.join(task.name for task in tasks if str(task.setting) == setting)}: {setting}")
     generators_of_task = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
+    settings = [setting_line(task, generators) for task, generators in zip(tasks, generators_of_task, strict=True)]
+    for setting in dict.fromkeys(settings):  # a task file may have a setting of its own
+        names = [task.name for task, its_own in zip(tasks, settings, strict=True) if its_own == setting]
+        print(f"{', '.join(names)}: {setting}")
     out = options.out
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
@@ -68,7 +71,7 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
         if (value := getattr(options, key, None)) is not None
     }
     try:
-        return make_generator(name, task, **settings)
+        return make_generator(name, task, **settings, chosen=chosen_parts(options))
     except ValueError as error:
         raise ValueError(f"--policy: {error}" if "policy" in settings else str(error)) from error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
@@ -12,7 +13,7 @@ from dynaforge.generators.oracle import Oracle
 from dynaforge.sim.setting import Setting
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_file_name
-from dynaforge.tasks.digest import task_digest
+from dynaforge.tasks.digest import definition_of
 
 
 def make_generator(
@@ -24,6 +25,7 @@ def make_generator(
     oracle_tries: int = 64,
     learner: str | None = None,
     observations: Path | None = None,
+    chosen: Collection[str] = (),
 ) -> Generator:
     """Return a new generator.
 
@@ -35,6 +37,7 @@ def make_generator(
         oracle_tries: Residuals that "oracle" tries on each condition.
         learner: Where the policy of "learner" comes from: "module:function" or "file.py:function".
         observations: Folder of `dynaforge render` whose settings the observations of "learner" are made with.
+        chosen: Parts of the task's setting in which a policy may have been trained otherwise; see `policy_for`.
 
     Raises:
         ValueError: The name is unknown, or the policy file does not fit the task, or none is shipped.
@@ -43,11 +46,16 @@ def make_generator(
         case "planner_only":
             return PlannerOnly()
         case "residual":
-            trained = policy_for(task, policy)
-            return ResidualGenerator(trained, policy_hash=trained.digest)
+            trained = policy_for(task, policy, chosen=chosen)
+            return ResidualGenerator(trained, policy_hash=trained.digest, trained_under=setting_of(trained))
         case "exploring":
-            trained = policy_for(task, policy)
-            return ResidualGenerator(ExploringPolicy(trained, sigma), policy_hash=trained.digest, name=name)
+            trained = policy_for(task, policy, chosen=chosen)
+            return ResidualGenerator(
+                ExploringPolicy(trained, sigma),
+                policy_hash=trained.digest,
+                name=name,
+                trained_under=setting_of(trained),
+            )
         case "oracle":
             return Oracle(m=oracle_tries)
         case "learner" if learner is not None:
@@ -55,12 +63,14 @@ def make_generator(
     raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
 
 
-def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
+def policy_for(task: Task, path: str | Path | None = None, *, chosen: Collection[str] = ()) -> MlpPolicyFile:
     """Read a policy and check that it was trained for a task, as it is now and in its setting.
 
     Args:
         task: The task.
         path: The policy file; None takes the one that is shipped for the task.
+        chosen: Parts of the task's setting, "reflex", "physics" or "sensing", that were chosen on purpose: in these
+            the policy may have been trained otherwise.
 
     Raises:
         FileNotFoundError: There is no such file.
@@ -68,28 +78,55 @@ def policy_for(task: Task, path: str | Path | None = None) -> MlpPolicyFile:
             was trained for another definition or under another setting of the task.
     """
     policy = MlpPolicyFile.load(shipped_policy(task) if path is None else path, task=task)
-    if policy.meta.get("task_definition") != task_digest(task):
-        which = f"The shipped policy of {task.name!r}" if path is None else f"{path}"
-        raise ValueError(f"{which} was trained {_trained_for(policy, task)}, so it is not used. {_remedy(task)}")
+    if fault := _fault_of(policy, task, chosen):
+        raise ValueError(f"{f'The shipped policy of {task.name!r}' if path is None else path} was trained {fault}")
     return policy
 
 
-def _trained_for(policy: MlpPolicyFile, task: Task) -> str:
-    """Say for what other task than this one a policy was trained."""
-    if "setting" not in policy.meta:
-        return "for another definition of the task (rigid arm, no force reflex)"
+def setting_of(policy: MlpPolicyFile) -> Setting | None:
+    """Return the setting that a policy was trained under; None where its file tells none that can be read."""
     try:
-        setting = Setting.from_dict(policy.meta["setting"])
+        return Setting.from_dict(policy.meta.get("setting"))
     except ValueError:
-        return "for another definition of the task (its setting is unreadable)"
-    if setting == task.setting:
-        return "for another definition of the task (other scene, conditions, phases or residual)"
-    return f"under another setting ({setting}) than this one ({task.setting})"
+        return None
 
 
-def _remedy(task: Task) -> str:
-    file = task_file_name(task) or task.name
-    return f"Use --generator planner_only, or train one: dynaforge forge --task {file}."
+def setting_line(task: Task, generators: Iterable[Generator]) -> str:
+    """Return the setting of a task in words, and the other one that a policy of the generators was trained under."""
+    trained = {getattr(generator, "trained_under", None) for generator in generators} - {None, task.setting}
+    others = " and ".join(sorted(map(str, trained)))
+    return f"trained under {others}; run under {task.setting}" if others else str(task.setting)
+
+
+def _fault_of(policy: MlpPolicyFile, task: Task, chosen: Collection[str]) -> str:
+    """Say why a policy must not run in a task, after "was trained", and what to do; "" if it may."""
+    trained, meta, here = setting_of(policy), policy.meta, definition_of(task)
+    if trained == task.setting and meta.get("task_definition") == here["task_definition"]:
+        return ""
+    if trained in (None, task.setting) or meta.get("in_any_setting") != here["in_any_setting"]:
+        file = task_file_name(task) or task.name
+        return (
+            f"for another definition of the task ({_what_differs(policy)}), so it is not used. "
+            f"Use --generator planner_only, or train one: dynaforge forge --task {file}."
+        )
+    assert trained is not None
+    theirs, ours = trained.words(), task.setting.words()
+    unchosen = [name for name in ours if theirs[name] != ours[name] and name not in chosen]
+    if not unchosen:
+        return ""
+    as_trained, as_here = (" ".join(f"--{name} {words[name]}" for name in unchosen) for words in (theirs, ours))
+    return (
+        f"under another setting ({trained}) than this one ({task.setting}). Give {as_trained} to run it as it was "
+        f"trained, or {as_here} to run it in this one on purpose."
+    )
+
+
+def _what_differs(policy: MlpPolicyFile) -> str:
+    if "setting" not in policy.meta:
+        return "rigid arm, no force reflex"
+    if setting_of(policy) is None:
+        return "its setting is unreadable"
+    return "other scene, conditions, phases or residual"
 
 
 def shipped_policy(task: Task) -> Path:

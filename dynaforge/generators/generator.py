@@ -18,6 +18,7 @@ from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.recording import Recorder
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_callable, check_kind, check_number, finite_array
+from dynaforge.sim.setting import Setting
 from dynaforge.tasks import Outcome, Task
 from dynaforge.tasks.digest import task_digest
 
@@ -61,15 +62,25 @@ class ResidualGenerator:
         policy: The residual policy.
         policy_hash: Digest of its weights, stored with every episode.
         name: Its name in ledgers and reports.
+        trained_under: The setting that the policy was trained under, where it is known.
     """
 
-    def __init__(self, policy: ResidualPolicy, *, policy_hash: str = "", name: str = "residual") -> None:
+    def __init__(
+        self,
+        policy: ResidualPolicy,
+        *,
+        policy_hash: str = "",
+        name: str = "residual",
+        trained_under: Setting | None = None,
+    ) -> None:
         check_callable("policy", policy, expected="a function of an observation")
         check_kind("policy_hash", policy_hash, str)
         check_generator_name(name)
         self.policy = policy
+        check_kind("trained_under", trained_under, (Setting, type(None)))
         self.policy_hash = policy_hash
         self.name = name
+        self.trained_under = trained_under
 
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
         """Run one episode under a condition and record it, Eq. 1."""

@@ -8,8 +8,20 @@ from typing import Literal, get_args
 
 from dynaforge.sim.checks import check_choice, check_kind, check_number
 
-Physics = Literal["fixed", "varied", "wide"]
-PHYSICS: tuple[Physics, ...] = get_args(Physics)
+Level = Literal["fixed", "varied", "wide"]
+Widened = Literal[
+    "wide:object_friction",
+    "wide:finger_friction",
+    "wide:table_friction",
+    "wide:rolling_friction",
+    "wide:mass",
+    "wide:joint_gain",
+    "wide:hand_delay",
+]
+"""Physics in which one field alone is wide, and the others are as in "varied"."""
+Physics = Level | Widened
+LEVELS: tuple[Level, ...] = get_args(Level)
+PHYSICS: tuple[Physics, ...] = (*LEVELS, *get_args(Widened))
 Range = tuple[float, float]
 
 
@@ -94,11 +106,16 @@ def hidden_ranges(physics: Physics, *, mass: bool) -> dict[str, Range]:
     Args:
         physics: How far physics varies.
         mass: Whether the mass varies.
+
+    Raises:
+        ValueError: The mass alone is to be wide, and does not vary.
     """
     if physics == "fixed":
         return {}
+    if physics == "wide:mass" and not mass:
+        raise ValueError("physics is 'wide:mass', but in this task the mass is a field of its own, or no body is free.")
     return {
-        name: field.varied if physics == "varied" else field.wide
+        name: field.wide if physics in ("wide", f"wide:{name}") else field.varied
         for name, field in HIDDEN.items()
         if name != "mass" or mass
     }

@@ -24,7 +24,8 @@ class Setting:
 
     Attributes:
         reflex: External force at which the robot stops: a named threshold (`sim.reflex`), or newtons.
-        physics: How far hidden physics varies between conditions (`sim.hidden`).
+        physics: How far hidden physics varies between conditions (`sim.hidden`): "fixed", "varied", "wide", or
+            "wide:FIELD", where all fields but one are as in "varied".
         sensing: What planner and policy see: "ideal", the truth, or "real", which is late and noisy.
 
     Raises:
@@ -43,8 +44,14 @@ class Setting:
         check_choice("sensing", self.sensing, SENSINGS)
 
     def __str__(self) -> str:
-        reflex = self.reflex if isinstance(self.reflex, str) else f"{self.reflex:g} N"
-        return f"reflex {reflex}, physics {self.physics}, sensing {self.sensing}"
+        unit = "" if isinstance(self.reflex, str) else " N"
+        words = self.words()
+        return f"reflex {words['reflex']}{unit}, physics {words['physics']}, sensing {words['sensing']}"
+
+    def words(self) -> dict[str, str]:
+        """Return every field as it is written on the command line, by name."""
+        reflex = self.reflex if isinstance(self.reflex, str) else f"{self.reflex:g}"
+        return {"reflex": reflex, "physics": self.physics, "sensing": self.sensing}
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that JSON stores without loss."""

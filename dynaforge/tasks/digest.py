@@ -19,7 +19,7 @@ from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.source import names_used, source_trees, tree_text
 from dynaforge.tasks.task import Task
 
-_known: dict[int, tuple[Task, str]] = {}  # by id; the task is kept too, so that its id is not reused
+_known: dict[int, tuple[Task, tuple[str, str]]] = {}  # by id; the task is kept too, so that its id is not reused
 
 
 def task_digest(task: Task) -> str:
@@ -29,8 +29,26 @@ def task_digest(task: Task) -> str:
     annotations and formatting do not count, in URDFs either. The camera, sentences and units are left out, because they
     only describe the task. So is the code of the vocabulary, which the package version identifies.
     """
+    return _digests(task)[0]
+
+
+def digest_in_any_setting(task: Task) -> str:
+    """Return 16 hex digits that identify a task's definition but for its setting and the hidden ranges that follow."""
+    return _digests(task)[1]
+
+
+def definition_of(task: Task) -> dict[str, Any]:
+    """Return plain JSON data that tells whether something made for a task is for this one: its digests, its setting."""
+    whole, in_any_setting = _digests(task)
+    return {"task_definition": whole, "in_any_setting": in_any_setting, "setting": task.setting.to_dict()}
+
+
+def _digests(task: Task) -> tuple[str, str]:
+    """Return the digest of a task's whole definition, and that of all but its setting."""
     if id(task) not in _known:
-        _known[id(task)] = (task, digest_of(task, "task"))
+        in_any_setting = digest_of(task, "task")
+        whole = digest_of((in_any_setting, task.setting, task.conditions.hidden), "setting")
+        _known[id(task)] = (task, (whole, in_any_setting))
     return _known[id(task)][1]
 
 
@@ -42,14 +60,9 @@ def digest_of(part: Any, name: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def definition_of(task: Task) -> dict[str, Any]:
-    """Return plain JSON data that tells whether something made for a task is for this one: its digest, its setting."""
-    return {"task_definition": task_digest(task), "setting": task.setting.to_dict()}
-
-
 _EXCLUDED: dict[type, tuple[str, ...]] = {
-    Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name"),
-    ConditionSpace: ("units",),
+    Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name", "setting"),
+    ConditionSpace: ("units", "hidden"),
 }
 _PLAIN = (str, bytes, bool, int, float, np.generic, np.ndarray, tuple, list, Mapping, Enum, functools.partial)
 

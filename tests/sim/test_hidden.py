@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from dynaforge.sim import Condition, SimScene
-from dynaforge.sim.hidden import HIDDEN
-from dynaforge.sim.setting import PHYSICS
+from dynaforge.sim.hidden import HIDDEN, LEVELS, PHYSICS
 from dynaforge.tasks import TASK_NAMES, get_task
 
 
 def conditions_of(task, n=1):
-    return {level: list(islice(task.under(physics=level).conditions.stream("val"), n)) for level in PHYSICS}
+    return {level: list(islice(task.under(physics=level).conditions.stream("val"), n)) for level in LEVELS}
 
 
 def digest_of_motion(scene, condition, steps=40):
@@ -35,16 +34,16 @@ def digest_of_motion(scene, condition, steps=40):
 def test_hidden_physics_of_earlier_episodes_leaves_no_trace(name):
     task = get_task(name)
     drawn = {level: conditions[0] for level, conditions in conditions_of(task).items()}
-    scene, found = SimScene(task.scene), {level: set() for level in PHYSICS}
+    scene, found = SimScene(task.scene), {level: set() for level in LEVELS}
     for level in ("fixed", "wide", "fixed", "varied", "wide", "varied"):
         found[level].add(digest_of_motion(scene, drawn[level]))
     scene.close()
     fresh = SimScene(task.scene)
-    for level in PHYSICS[::-1]:
+    for level in LEVELS[::-1]:
         found[level].add(digest_of_motion(fresh, drawn[level]))
     fresh.close()
     assert all(len(digests) == 1 for digests in found.values())
-    assert len(set.union(*found.values())) == len(PHYSICS)
+    assert len(set.union(*found.values())) == len(LEVELS)
 
 
 @pytest.mark.parametrize("field", ["object_friction", "finger_friction", "table_friction", "rolling_friction", "mass"])
@@ -82,6 +81,23 @@ def test_visible_fields_do_not_depend_on_how_far_physics_varies(name):
         assert not fixed.hidden
         assert varied.hidden.keys() == wide.hidden.keys() > {"object_friction", "joint_gain", "hand_delay"}
         assert "mass" not in varied.hidden
+
+
+@pytest.mark.parametrize("field", [name for name in HIDDEN if name != "mass"])
+def test_one_field_alone_may_be_wide(field):
+    can = get_task("can")
+    drawn = {level: next(can.under(physics=level).conditions.stream("val")).hidden for level in LEVELS}
+    alone = next(can.under(physics=f"wide:{field}").conditions.stream("val")).hidden
+    assert alone[field] == drawn["wide"][field] != drawn["varied"][field]
+    assert {**alone, field: None} == {**drawn["varied"], field: None}
+
+
+def test_every_hidden_field_may_be_widened_alone_where_it_varies():
+    assert (*LEVELS, *(f"wide:{name}" for name in HIDDEN)) == PHYSICS
+    with pytest.raises(ValueError, match="in this task the mass is a field of its own"):
+        get_task("can").under(physics="wide:mass")
+    with pytest.raises(ValueError, match="Did you mean 'wide:hand_delay'"):
+        get_task("can").under(physics="wide:hand_dely")
 
 
 def test_ranges_are_nested_and_include_the_nominal_value():

@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 
 from dynaforge.tasks import TASK_NAMES, get_task
-from dynaforge.tasks.digest import task_digest
+from dynaforge.tasks.digest import digest_in_any_setting, task_digest
 
 CAN = get_task("can")
 
@@ -30,6 +30,14 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
     assert CAN.conditions.units
     assert task_digest(replace(CAN, conditions=replace(CAN.conditions, units={}))) == task_digest(CAN)
     assert task_digest(replace(CAN, instruction="catch it")) == task_digest(CAN)
+
+
+def test_a_setting_changes_the_digest_but_not_that_in_any_setting() -> None:
+    others = [CAN.under(reflex=55), CAN.under(physics="wide"), CAN.under(sensing="real")]
+    assert len({task_digest(task) for task in (CAN, *others)}) == 4
+    assert {digest_in_any_setting(task) for task in (CAN, *others)} == {digest_in_any_setting(CAN)}
+    phases = (replace(CAN.phases[0], timeout=CAN.phases[0].timeout + 0.1), *CAN.phases[1:])
+    assert digest_in_any_setting(replace(CAN, phases=phases)) != digest_in_any_setting(CAN)
 
 
 def test_every_task_says_in_words_what_to_do_and_one_of_ones_own_by_default() -> None:

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, cast
 
+from dynaforge.cli.arguments.setting import add_setting, chosen_parts
 from dynaforge.options.refusal import Refused
-from dynaforge.options.words import one_of
 from dynaforge.sim.checks import quoted
-from dynaforge.sim.reflex import REFLEX_NAMES, thresholds
-from dynaforge.sim.setting import PHYSICS, SENSINGS, Reflex
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 
 LONGEST_PATH = 1000  # characters of a task file's path
@@ -32,7 +29,7 @@ def add_task_argument(
         setting: Whether the setting of the task may be chosen too.
     """
     if setting:
-        _add_setting(parser)
+        add_setting(parser)
     known = f"{', '.join(TASK_NAMES)}; an env id of one; or a task file such as ball.py"
     if flags == ("task",):
         parser.add_argument("task", type=task_or_all, help=f"one of {known}; or all")
@@ -50,46 +47,9 @@ def add_task_argument(
         parser.add_argument(*flags, dest="task", type=task, default=default, metavar="TASK", help=f"one of {known}")
 
 
-def _add_setting(parser: argparse.ArgumentParser) -> None:
-    """Add --reflex, --physics and --sensing."""
-    parser.add_argument(
-        "--reflex",
-        type=reflex,
-        metavar="NAME|NEWTONS",
-        help=f"external force that stops the robot: {', '.join(REFLEX_NAMES)}, or newtons (default: the task's own, "
-        "contact)",
-    )
-    parser.add_argument(
-        "--physics",
-        **one_of("physics", PHYSICS),
-        help="how far friction, masses, gains and the hand's dead time vary between conditions (default: the task's, "
-        "varied)",
-    )
-    parser.add_argument(
-        "--sensing",
-        **one_of("sensing", SENSINGS),
-        help="what planner and policy see: the truth, or late and blurred (default: the task's, ideal)",
-    )
-
-
-def reflex(text: str) -> Reflex:
-    """Return the reflex that a text names: a named threshold, or newtons.
-
-    Raises:
-        argparse.ArgumentTypeError: It names none.
-    """
-    try:
-        value: Any = text if text in REFLEX_NAMES else float(text)
-        thresholds(value)
-    except ValueError:
-        known = ", ".join(REFLEX_NAMES)
-        raise Refused(f"is {quoted(text)}; it must be {known}, or a number of newtons above 0.") from None
-    return cast(Reflex, value)
-
-
 def _in_setting(task: Task, options: argparse.Namespace) -> Task:
     """Return a task in the setting that was asked for; what was not is the task's own."""
-    return task.under(**{name: getattr(options, name, None) for name in ("reflex", "physics", "sensing")})
+    return task.under(**{name: getattr(options, name) for name in chosen_parts(options)})
 
 
 def add_own_task_argument(parser: argparse.ArgumentParser) -> None:
