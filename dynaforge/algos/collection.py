@@ -77,7 +77,9 @@ def run_rounds(
     """
     sampler = StratifiedSampler(settings.n_groups, settings.group_size, stratified=settings.stratified)
     rounds: list[list[FinishedEpisode]] = []
-    strata, n_drawn = list(sampler.strata), 0
+    record = model.stratum_record
+    strata: list[int | None] = [*(sampler.strata if record is None else record.draw(model.condition_rng))]
+    n_drawn = 0
     while strata and len(rounds) <= settings.resample_max:
         groups = sampler.draw(conditions, model.condition_rng, strata=strata, first_index=n_drawn)
         n_drawn += len(groups)

@@ -18,12 +18,13 @@ from stable_baselines3.common.vec_env import VecEnv
 from dynaforge.algos.buffer import GroupRolloutBuffer
 from dynaforge.algos.collection import CollectionSettings, run_rounds
 from dynaforge.algos.group_results import GroupResults
-from dynaforge.algos.learning import learn_from
+from dynaforge.algos.learning import learn_from, remember
 from dynaforge.algos.options import (
     AdvantageScale,
     GroupFilter,
     LossAggregation,
     RateScale,
+    StratumWeights,
     TimestepCount,
     check_grpo_options,
     check_learn_arguments,
@@ -35,6 +36,7 @@ from dynaforge.algos.stopwatch import Stopwatch
 from dynaforge.algos.success_signal import warn_of_unknown_success
 from dynaforge.geometry import Array
 from dynaforge.sampling.dispatch import EpisodeDispatcher
+from dynaforge.sampling.frontier_strata import StratumRecord
 from dynaforge.sampling.sampler import ConditionSampler, condition_sampler_of
 
 # Without a critic there is neither value loss nor lambda; one return per episode needs no discount; and the entropy of
@@ -66,6 +68,8 @@ class FrontierGRPO(ResumableAlgorithm):
         group_filter: "mixed_success" (the paper), "margin" (two successes and two failures at least; both need
             info["is_success"]), "mixed_return", or "none"; see `frontier_mask`.
         stratified: One condition from each of N strata; False draws all from the whole range.
+        stratum_weights: "equal" (the paper), or "frontier": the N groups come from the strata in proportion to the
+            trailing p (1 - p) of their success, see `StratumRecord.draw`; needs info["is_success"].
         condition_sampler: Source of conditions. Default: the env's own `condition_sampler`, else reset seeds.
         scale_advantage: Divide by the deviation of the "group" (the paper), of the "batch", or "none"; or multiply by
             the group's "learnability", see `group_advantages`.
@@ -94,6 +98,7 @@ class FrontierGRPO(ResumableAlgorithm):
     Attributes:
         optimizer_steps: Steps of the optimizer so far; SB3's `_n_updates` counts epochs.
         transitions_used: Gated transitions of kept groups so far, each counted once per update.
+        stratum_record: Success of each stratum from its own trials; None with equal weights.
         skipped_updates: Iterations in which no group was kept.
         last_group_success: Success of the last iteration, shape (N, K); None when the env does not report it.
         last_group_returns: Its returns, shape (N, K).
@@ -122,6 +127,7 @@ class FrontierGRPO(ResumableAlgorithm):
         clip_range_high: float | Schedule | None = 0.28,
         group_filter: GroupFilter = "mixed_success",
         stratified: bool = True,
+        stratum_weights: StratumWeights = "equal",
         condition_sampler: ConditionSampler | None = None,
         scale_advantage: AdvantageScale = "group",
         scale_learning_rate: RateScale = "none",
@@ -167,6 +173,7 @@ class FrontierGRPO(ResumableAlgorithm):
         self.n_epochs, self.batch_size = n_epochs, batch_size
         self.clip_range, self.clip_range_high = clip_range, clip_range_high
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
+        self.stratum_weights = stratum_weights
         self.scale_advantage, self.scale_learning_rate, self.loss_agg = scale_advantage, scale_learning_rate, loss_agg
         self.kl_coef, self.anchor_coef, self.target_kl = kl_coef, anchor_coef, target_kl
         self.max_episode_steps, self.timesteps, self.resample_max = max_episode_steps, timesteps, resample_max
@@ -185,11 +192,16 @@ class FrontierGRPO(ResumableAlgorithm):
         self._dispatcher: EpisodeDispatcher | None = None
         self._conditions: ConditionSampler | None = None
         self._results: GroupResults | None = None
+        self.stratum_record: StratumRecord | None = None
 
     def _setup_model(self) -> None:
         if not hasattr(self, "observation_space"):
             raise ValueError("FrontierGRPO needs an env to build its policy: pass an env id, an env or a VecEnv.")
         check_grpo_options(self)
+        if self.stratum_weights == "equal":
+            self.stratum_record = None
+        elif self.stratum_record is None or len(self.stratum_record.wins) != self.n_groups:
+            self.stratum_record = StratumRecord.empty(self.n_groups)
         self.n_steps = self.n_groups * self.group_size
         super()._setup_model()
         high = self.clip_range if self.clip_range_high is None else self.clip_range_high
@@ -267,6 +279,7 @@ class FrontierGRPO(ResumableAlgorithm):
         assert self._results is not None
         with Stopwatch() as watch:
             kept, report = learn_from(self, self._results)
+        remember(self, self._results)
         if report is None:
             self.skipped_updates += 1
         else:

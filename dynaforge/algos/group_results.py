@@ -76,6 +76,5 @@ class GroupResults:
         logger.record("frontier/share_all_success", float(np.mean(rate == 1.0)))
         logger.record("frontier/share_all_fail", float(np.mean(rate == 0.0)))
         logger.record("frontier/share_mixed", float(np.mean((rate > 0.0) & (rate < 1.0))))
-        for stratum, value in zip(self.strata.tolist(), rate.tolist(), strict=True):
-            if stratum >= 0:
-                logger.record(f"frontier/success_stratum_{stratum:02d}", value)
+        for stratum in sorted({*self.strata.tolist()} - {-1}):  # several groups of one stratum count together
+            logger.record(f"frontier/success_stratum_{stratum:02d}", float(rate[self.strata == stratum].mean()))

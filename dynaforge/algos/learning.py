@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from dynaforge.algos.advantages import group_advantages
 from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.group_results import GroupResults
 from dynaforge.algos.update import UpdateReport, UpdateSettings, update_policy
+from dynaforge.geometry import Array
+from dynaforge.sampling.frontier_strata import StratumRecord
 
 
 def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, UpdateReport | None]:
@@ -36,6 +39,32 @@ def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, Upda
     settings = UpdateSettings.of(model, model._current_progress_remaining)
     anchors = _anchors(model, results, keep)
     return kept, update_policy(model.policy, kept, settings, rng=model.minibatch_rng, anchors=anchors)
+
+
+def remember(model: Any, results: GroupResults) -> None:
+    """Add an iteration's groups to a FrontierGRPO's record of its strata, if it keeps one."""
+    if model.stratum_record is None:
+        return
+    model.stratum_record = model.stratum_record.after(results.strata, results.success)
+    if results.success is not None:
+        # The mean over strata, each from its own trials: the groups drawn are mostly those of the frontier.
+        model.logger.record("frontier/success", float(np.nanmean(model.stratum_record.success)))
+
+
+def learned_state(model: Any) -> dict[str, Array]:
+    """Return what a FrontierGRPO has learned besides its weights, by name: what a training checkpoint keeps of it."""
+    record = model.stratum_record
+    return {} if record is None else {name: getattr(record, name) for name in ("wins", "losses", "waits")}
+
+
+def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
+    """Give a FrontierGRPO, built with the same options, what `learned_state` returned.
+
+    Raises:
+        KeyError: It lacks something that the options ask for.
+    """
+    if model.stratum_record is not None:
+        model.stratum_record = StratumRecord(*(np.array(state[name]) for name in ("wins", "losses", "waits")))
 
 
 def _anchors(model: Any, results: GroupResults, keep: NDArray[np.bool_]) -> KeptTransitions | None:

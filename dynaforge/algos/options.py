@@ -10,12 +10,14 @@ from typing import Any, Literal, get_args
 
 GroupFilter = Literal["mixed_success", "margin", "mixed_return", "none"]
 AdvantageScale = Literal["group", "batch", "learnability", "none"]
+StratumWeights = Literal["equal", "frontier"]
 RateScale = Literal["none", "failures"]
 LossAggregation = Literal["step", "episode"]
 TimestepCount = Literal["active", "gated", "nominal"]
 
 CHOICES = {
     "group_filter": GroupFilter,
+    "stratum_weights": StratumWeights,
     "scale_advantage": AdvantageScale,
     "scale_learning_rate": RateScale,
     "loss_agg": LossAggregation,
@@ -198,6 +200,8 @@ def check_grpo_options(model: Any) -> None:
     for name in ("stratified", "use_sde"):
         if not isinstance(getattr(model, name), bool):
             raise TypeError(f"{name} is {getattr(model, name)!r}, but must be True or False.")
+    if model.stratum_weights == "frontier" and not model.stratified:
+        raise ValueError("stratum_weights='frontier' draws from strata, and stratified=False leaves none.")
     sampler = model.condition_sampler
     if sampler is not None and not (hasattr(sampler, "draw") and hasattr(sampler, "reset_kwargs")):
         raise TypeError(

@@ -16,6 +16,7 @@ from stable_baselines3.common.type_aliases import MaybeCallback
 from dynaforge.algos.progress import TimestepProgressBar
 from dynaforge.algos.random_state import RandomState
 from dynaforge.files.atomic import atomic_write
+from dynaforge.sampling.frontier_strata import StratumRecord
 from dynaforge.sampling.vec_wrappers import WrapperStack
 
 
@@ -25,8 +26,10 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
     Attributes:
         condition_rng: Generator that conditions are drawn from.
         minibatch_rng: Generator that minibatches are shuffled with.
+        stratum_record: Success of each stratum; None where strata are drawn without regard to it.
     """
 
+    stratum_record: StratumRecord | None
     condition_rng: np.random.Generator
     minibatch_rng: np.random.Generator
 

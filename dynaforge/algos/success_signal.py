@@ -32,6 +32,7 @@ class SuccessReader:
 _READERS = (
     SuccessReader("group_filter", "mixed_success", "'mixed_return' or 'none'"),
     SuccessReader("group_filter", "margin", "'mixed_return' or 'none'"),
+    SuccessReader("stratum_weights", "frontier", "'equal'"),
     SuccessReader("scale_advantage", "learnability", "'group'"),
     SuccessReader("scale_learning_rate", "failures", "'none'"),
 )

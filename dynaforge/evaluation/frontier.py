@@ -38,8 +38,12 @@ class FrontierAnalysis:
 
     @property
     def overall(self) -> Array:
-        """Success fraction of each update over all strata that had trials, shape (U,)."""
-        return np.asarray(_mean(self.success, axis=1))
+        """Success fraction of each update, mean over the strata that were ever tried, shape (U,).
+
+        A stratum that an update left out counts with its last known success: a curriculum leaves out those that
+        always succeed or always fail, and the mean of the others would be that of the frontier alone.
+        """
+        return np.asarray(_mean(_last_known(self.success), axis=1))
 
     @property
     def overall_trailing(self) -> Array:
@@ -105,6 +109,12 @@ def _trailing_sum(values: ArrayLike, window: int) -> Array:
     total: Array = np.cumsum(array, axis=0)
     total[window:] -= total[:-window].copy()
     return total
+
+
+def _last_known(values: Array) -> Array:
+    """Replace NaN by the last number before it along the first axis, if there is one."""
+    rows = np.where(np.isnan(values), 0, np.arange(len(values))[:, None])
+    return np.asarray(np.take_along_axis(values, np.maximum.accumulate(rows, axis=0), axis=0))
 
 
 def _ratio(numerator: Array, denominator: Array) -> Array:

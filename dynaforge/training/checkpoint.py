@@ -18,6 +18,7 @@ from safetensors.torch import save
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.learning import learned_state, restore_learned_state
 from dynaforge.algos.random_state import RandomState
 from dynaforge.files.atomic import atomic_write
 
@@ -34,6 +35,8 @@ def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:
     for index, entries in model.policy.optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{index}.{name}": tensor for name, tensor in entries.items()}
     tensors |= {f"random.{k}": tensor for k, tensor in enumerate(random.torch if random else ())}
+    if isinstance(model, FrontierGRPO):
+        tensors |= {f"learned.{name}": th.as_tensor(values) for name, values in learned_state(model).items()}
     whole = {name: tensor.detach().cpu().clone().contiguous() for name, tensor in tensors.items()}
     atomic_write(path, save(whole, {"dynaforge": json.dumps(header)}))
 
@@ -61,6 +64,9 @@ def load_checkpoint(model: OnPolicyAlgorithm, path: Path, *, seed: int) -> None:
             if name not in COUNTERS or type(count) is not int:
                 raise ValueError(f"{name} is {count!r}")
             setattr(model, name, count)
+        if isinstance(model, FrontierGRPO):
+            learned = {name: tensor.numpy() for name, tensor in _below("learned", tensors).items()}
+            restore_learned_state(model, learned)
         torch_states = tuple(_below("random", tensors).values())
         _restore_randomness(model, RandomState(tuple(header["generators"]), torch_states, model.num_timesteps), seed)
     except (SafetensorError, KeyError, ValueError, TypeError, AttributeError, RuntimeError) as error:

@@ -68,7 +68,7 @@ class TrainingHistory:
 
     @property
     def success(self) -> Array:
-        """Success of each update, mean over the strata that had trials, shape (U,)."""
+        """Success of each update, mean over strata, see `FrontierAnalysis.overall`, shape (U,)."""
         return self.frontier().overall
 
     def frontier(self) -> FrontierAnalysis:

@@ -123,6 +123,24 @@ def test_strata_reach_the_env_in_order():
     assert (small(envs(4), stratified=False).learn(1).last_group_strata == -1).all()
 
 
+def test_frontier_weights_draw_more_of_what_is_neither_mastered_nor_hopeless(logged):
+    model = small(envs(8), n_groups=8, group_size=8, stratum_weights="frontier", learning_rate=0.0)
+    values = logged(model)
+    trials = np.zeros(8, int)
+    for _ in range(12):
+        known = model.stratum_record.success.mean()  # logged after the update that it is of, and so one dump later
+        model.learn(1, reset_num_timesteps=False)
+        trials += np.bincount(model.last_group_strata, minlength=8)
+        success = model.last_group_success.mean(axis=1)
+        for stratum in set(model.last_group_strata.tolist()):
+            own = success[model.last_group_strata == stratum]
+            assert values[f"frontier/success_stratum_{stratum:02d}"] == pytest.approx(own.mean())
+    assert trials.sum() == 12 * 8
+    assert trials.min() >= 3
+    assert trials.max() > trials.min()
+    assert values["frontier/success"] == pytest.approx(known)
+
+
 def test_conditions_may_come_from_the_user():
     class Fixed:
         def draw(self, rng, stratum=None, n_strata=1):

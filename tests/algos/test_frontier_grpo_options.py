@@ -27,6 +27,8 @@ from dynaforge.sampling.vector_env import SharedMemoryVecEnv
         ({"n_groups": 0}, "n_groups is 0"),
         ({"group_filter": "mixed_sucess"}, "Did you mean 'mixed_success'"),
         ({"group_filter": "margin", "group_size": 3}, "group_size is 3, but must be at least 4"),
+        ({"stratum_weights": "frontiers"}, "Did you mean 'frontier'"),
+        ({"stratum_weights": "frontier", "stratified": False}, "stratified=False leaves none"),
         ({"scale_advantage": "std"}, "Unknown scale_advantage 'std'"),
         ({"loss_agg": "steps"}, "Did you mean 'step'"),
         ({"timesteps": "all"}, "'active', 'gated', 'nominal'"),
@@ -82,7 +84,11 @@ def test_mixed_success_on_an_env_without_success_names_the_remedy():
 
 @pytest.mark.parametrize(
     ("option", "remedy"),
-    [({"group_filter": "margin"}, "group_filter='mixed_return'"), ({"scale_advantage": "learnability"}, "='group'")],
+    [
+        ({"group_filter": "margin"}, "group_filter='mixed_return'"),
+        ({"scale_advantage": "learnability"}, "scale_advantage='group'"),
+        ({"stratum_weights": "frontier"}, "stratum_weights='equal'"),
+    ],
 )
 def test_what_reads_success_names_its_remedy_on_an_env_without(option, remedy):
     with pytest.raises(ValueError, match=remedy):

@@ -89,6 +89,17 @@ def test_a_checkpoint_carries_the_statistics_of_observations(tmp_path, at):
         MlpPolicyFile.of(FrontierGRPO.load(tmp_path / "m", device="cpu"), task="can")
 
 
+@pytest.mark.parametrize("at", [8, 100])
+def test_a_checkpoint_carries_the_record_of_the_strata(tmp_path, at):
+    options = {"learning_rate": 1e-2, "batch_size": 8, "stratum_weights": "frontier"}
+    whole = small(envs(3), **options).learn(432, callback=SaveAt(tmp_path / "m", at=at))
+    resumed = FrontierGRPO.load(tmp_path / "m", env=envs(3), device="cpu")
+    resumed.learn(432 - resumed.num_timesteps, reset_num_timesteps=False)
+    assert equal(weights(whole), weights(resumed))
+    for name in ("wins", "losses", "waits"):
+        np.testing.assert_array_equal(getattr(whole.stratum_record, name), getattr(resumed.stratum_record, name))
+
+
 def test_saving_does_not_disturb_training(tmp_path):
     plain = small(envs(3)).learn(144)
     saving = small(envs(3)).learn(144, callback=SaveAt(tmp_path / "m", at=10))

@@ -63,3 +63,14 @@ def test_wrong_shapes_are_refused():
         analyse_frontier(np.zeros(3), 8)
     with pytest.raises(ValueError, match="between 0 and"):
         analyse_frontier([[9]], 8)
+
+
+def test_a_curve_does_not_depend_on_how_often_a_stratum_is_drawn():
+    # The easy stratum always succeeds, the hard one half the time; the curriculum soon draws the hard one alone.
+    every = analyse_frontier([[8, 4]] * 6, 8)
+    mostly_hard = analyse_frontier([[8, 4], [0, 8], [0, 8], [8, 4], [0, 8], [0, 8]], [[8, 8], [0, 16], [0, 16]] * 2)
+    np.testing.assert_allclose(mostly_hard.overall, every.overall)
+    np.testing.assert_allclose(mostly_hard.overall_trailing, every.overall_trailing)
+    assert mostly_hard.success[1, 1] == 0.5
+    late = analyse_frontier([[8, 0], [0, 4]], [[8, 0], [0, 8]])
+    np.testing.assert_allclose(late.overall, [1.0, 0.75])

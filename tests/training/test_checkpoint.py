@@ -12,8 +12,14 @@ from dynaforge.algos import FrontierGRPO
 from dynaforge.training.checkpoint import load_checkpoint, save_checkpoint
 
 
-def model(algorithm: type, *, seed: int = 0, width: int = 8):
-    kwargs = {"policy_kwargs": {"net_arch": [width]}, "seed": seed, "device": "cpu", "n_epochs": 1, "batch_size": 8}
+def model(algorithm: type, *, seed: int = 0, width: int = 8, **options):
+    kwargs = options | {
+        "policy_kwargs": {"net_arch": [width]},
+        "seed": seed,
+        "device": "cpu",
+        "n_epochs": 1,
+        "batch_size": 8,
+    }
     if algorithm is PPO:
         return PPO("MlpPolicy", "Pendulum-v1", n_steps=16, **kwargs)
     return FrontierGRPO(
@@ -33,6 +39,18 @@ def test_a_checkpoint_contains_all_that_an_update_depends_on(algorithm: type, tm
     if algorithm is FrontierGRPO:
         assert other.condition_rng.bit_generator.state == trained.condition_rng.bit_generator.state
         assert other.optimizer_steps == trained.optimizer_steps > 0
+
+
+def test_a_checkpoint_contains_the_record_of_the_strata(tmp_path: Path) -> None:
+    trained, other = (model(FrontierGRPO, seed=seed, stratum_weights="frontier") for seed in (0, 1))
+    trained.stratum_record = trained.stratum_record.after([1], [[True, False, False]])
+    save_checkpoint(trained, tmp_path / "c")
+    load_checkpoint(other, tmp_path / "c", seed=0)
+    assert [other.stratum_record.wins.tolist(), other.stratum_record.losses.tolist()] == [[0, 1], [0, 2]]
+    assert other.stratum_record.waits.tolist() == [1, 0]
+    save_checkpoint(model(FrontierGRPO), tmp_path / "c")
+    with pytest.raises(ValueError, match="no checkpoint of this run"):
+        load_checkpoint(other, tmp_path / "c", seed=0)
 
 
 def tensors(state: object) -> list[th.Tensor]:
