@@ -112,9 +112,13 @@ def test_a_comparison_is_reported_and_none_of_its_runs_made_again(
     before = contents(compare)
     table = rows((compare / "table.txt").read_text())
     assert len(table) == 4
-    assert main([*COMPARE, str(compare)]) == 0
+    assert main([*COMPARE, str(compare)]) == 2
+    assert "holds a run made under older physics, now reflex contact" in capsys.readouterr().err
+    assert contents(compare) == before
+    assert main([*COMPARE, str(compare), "--report-only"]) == 0
     printed = capsys.readouterr().out
     assert "7 runs, 7 finished" in printed
+    assert "Made under older physics." in printed
     assert rows(printed) == rows((compare / "table.txt").read_text()) == table
     after = contents(compare)
     assert all(after[path] == kept for path, kept in before.items() if path.name != "table.txt")

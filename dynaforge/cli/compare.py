@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 from datetime import UTC, datetime
+from pathlib import Path
 
+from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.files.atomic import make_folder
 from dynaforge.reports import write_comparison
@@ -25,7 +27,9 @@ def run(options: argparse.Namespace) -> int:
         )
     for spec in specs:
         refuse_links(spec.folder, options.out)
-        spec.check()
+        spec.check(definition=not options.report_only or bool(chosen_parts(options)))
+    if not options.report_only:
+        print(*setting_lines((Path(spec.task).stem, str(spec.setting)) for spec in specs), sep="\n")
     make_folder(options.out)
     missing = [spec for spec in specs if not spec.finished]
     print(f"{len(specs)} runs, {len(specs) - len(missing)} finished; stored in {options.out}")

@@ -6,7 +6,7 @@ import argparse
 import time
 from itertools import islice
 
-from dynaforge.cli.arguments.setting import chosen_parts
+from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, task_table
@@ -24,15 +24,12 @@ def run(options: argparse.Namespace) -> int:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
     tasks = chosen_tasks(options)
-    generators_of_task = [[generator_of(name, task, options) for name in options.generator] for task in tasks]
-    settings = [setting_line(task, generators) for task, generators in zip(tasks, generators_of_task, strict=True)]
-    for setting in dict.fromkeys(settings):  # a task file may have a setting of its own
-        names = [task.name for task, its_own in zip(tasks, settings, strict=True) if its_own == setting]
-        print(f"{', '.join(names)}: {setting}")
+    planned = [(task, [generator_of(name, task, options) for name in options.generator]) for task in tasks]
+    print(*setting_lines((task.name, setting_line(task, generators)) for task, generators in planned), sep="\n")
     out = options.out
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
-    for task, generators in zip(tasks, generators_of_task, strict=True):
+    for task, generators in planned:
         measured = {g.name: _measured(task, g, options) for g in generators}
         reports = reports_of(task, measured)
         print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")

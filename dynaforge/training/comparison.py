@@ -75,16 +75,35 @@ class Comparison:
         Raises:
             ValueError: A damaged folder, or runs of a task that were measured on different conditions.
         """
-        runs = tuple(StoredRun.load(folder) for folder in folders)
-        for task in {run.task for run in runs}:
-            if len({run.conditions for run in runs if run.task == task}) > 1:
-                raise ValueError(f"The runs of {task!r} in {root} were measured on different conditions.")
-        return Comparison(runs)
+        comparison = Comparison(tuple(StoredRun.load(folder) for folder in folders))
+        for task in comparison.tasks:
+            if len({run.conditions for run in comparison.runs if run.task == task}) > 1:
+                mixed = f": {comparison.settings}" if task in comparison.mixed_tasks else ""
+                raise ValueError(f"The runs of {task!r} in {root} were measured on different conditions{mixed}.")
+        return comparison
 
     @property
     def tasks(self) -> list[str]:
         """Task names, in order."""
         return list(dict.fromkeys(run.task for run in self.runs))
+
+    @property
+    def mixed_tasks(self) -> list[str]:
+        """Tasks whose runs are not all of one definition, in order: their figures do not compare."""
+        definitions = {(run.task, run.definition) for run in self.runs}
+        tasks = [task for task, _ in definitions]
+        return [task for task in self.tasks if tasks.count(task) > 1]
+
+    @property
+    def settings(self) -> str:
+        """In which setting the runs were made, in words; by task where there are several, by run where one is mixed."""
+        made_under: dict[str, list[str]] = {}
+        for run in self.runs:
+            name = f"{run.task}/{run.variant}" if run.task in self.mixed_tasks else run.task
+            made_under.setdefault(run.setting, []).append(name)
+        if len(made_under) == 1:
+            return next(iter(made_under))
+        return "; ".join(f"{setting} ({', '.join(dict.fromkeys(names))})" for setting, names in made_under.items())
 
     @property
     def variants(self) -> list[str]:

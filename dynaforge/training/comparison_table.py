@@ -55,9 +55,11 @@ def comparison_table(comparison: Comparison) -> str:
 
 
 def legend(comparison: Comparison) -> str:
-    """Return what the columns of the table mean."""
-    evaluation, reference = comparison.runs[0].evaluation, comparison.reference
+    """Return in which setting the runs were made, which of them do not compare, and what the columns mean."""
+    evaluation, reference, mixed = comparison.runs[0].evaluation, comparison.reference, comparison.mixed_tasks
+    warning = f"Do not compare the runs of {', '.join(mixed)}: they are of several definitions of the task.\n"
     return (
+        f"Made under {comparison.settings}.\n{warning if mixed else ''}"
         f"DGR of the final policy without exploration on {evaluation.blocks} x {evaluation.attempts} conditions of "
         f"{evaluation.stream}, mean and std over training seeds; mean of the last {FINAL_PROBES} probes\non val, "
         f"without exploration; optimizer steps of a run; against {reference} in points, 95 % bootstrap over training "

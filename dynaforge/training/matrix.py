@@ -37,6 +37,7 @@ def run_matrix(
     planner = [
         RunSpec(
             task=task_source(task),
+            setting=task.setting,
             variant=PLANNER_ONLY,
             algo="",
             changes={},
@@ -50,6 +51,7 @@ def run_matrix(
     trained = [
         RunSpec(
             task=task_source(task),
+            setting=task.setting,
             variant=variant,
             algo=algo,
             changes=changes,

@@ -22,7 +22,8 @@ from dynaforge.files.versions import package_versions
 from dynaforge.generators import Generator, PlannerOnly, ResidualGenerator, attempt_once
 from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sampling.processes import end_after
-from dynaforge.tasks import Task, get_task
+from dynaforge.tasks import Task
+from dynaforge.tasks.digest import definition_of
 from dynaforge.training.history import STRATA, Probe
 from dynaforge.training.run_archive import EVALUATED
 from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation, RunSpec
@@ -43,7 +44,7 @@ def train(spec: RunSpec) -> None:
     settings = spec.settings()
     metadata = {"run": spec.identity(), "settings": settings, "versions": package_versions()}
     atomic_write(spec.folder / "run.json", json.dumps(metadata, indent=1).encode() + b"\n")
-    task = get_task(spec.task)
+    task = spec.make_task()
     env = training_env(task, settings["n_envs"], cores=1)
     training = StoredTraining(spec.folder, task, env, algo=spec.algo, seed=spec.seed, **spec.changes)
     history, prober = training.history, Prober(task)
@@ -94,6 +95,7 @@ def evaluate(task: Task, generator: Generator, evaluation: Evaluation, path: Pat
         "task": task.name,
         "generator": generator.name,
         "exam": asdict(evaluation),
+        **definition_of(task),
         "versions": package_versions(),
     }
     atomic_write(path, _one_line_per_attempt(header, rows).encode())
@@ -143,7 +145,7 @@ def main() -> int:
         end_after(sys.stdin.fileno())
     spec = RunSpec.from_json(sys.argv[1])
     if spec.variant == PLANNER_ONLY:
-        evaluate(get_task(spec.task), PlannerOnly(), spec.evaluation, spec.folder / EVALUATED)
+        evaluate(spec.make_task(), PlannerOnly(), spec.evaluation, spec.folder / EVALUATED)
     else:
         train(spec)
     return 0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dynaforge.geometry import one_line
 from dynaforge.training.history import TrainingHistory
 from dynaforge.training.run_archive import EVALUATED, read_run
-from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation
+from dynaforge.training.run_spec import OLDER_PHYSICS, PLANNER_ONLY, Evaluation, setting_in_words
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -29,6 +29,8 @@ class StoredRun:
         conditions: Ids of these conditions.
         failures: Reason of each failed attempt.
         evaluation: Stream and blocks that the conditions were taken from.
+        definition: Digest of the task's definition, its setting included; "" for one of the older physics.
+        setting: The setting of the task, in words.
     """
 
     task: str
@@ -40,6 +42,8 @@ class StoredRun:
     conditions: tuple[str, ...]
     failures: tuple[str, ...]
     evaluation: Evaluation
+    definition: str = ""
+    setting: str = OLDER_PHYSICS
 
     __repr__ = one_line
 
@@ -64,6 +68,8 @@ class StoredRun:
                 conditions=tuple(attempt["id"] for attempt in evaluated["attempts"]),
                 failures=tuple(outcome for outcome in outcomes if outcome != "success"),
                 evaluation=Evaluation(**evaluated["exam"]),
+                definition=evaluated.get("task_definition", ""),
+                setting=setting_in_words(evaluated.get("setting")),
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"{folder} holds no readable run: {type(error).__name__}: {error}.") from error

@@ -4,12 +4,17 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dynaforge.cli import compare
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
+from dynaforge.demos import Episode
+from dynaforge.sim import Condition
+from dynaforge.sim.setting import Setting
+from dynaforge.tasks import Outcome
 from dynaforge.training import run as runs
 from dynaforge.training.history import TrainingHistory
 from dynaforge.training.matrix import check_variants
@@ -20,6 +25,16 @@ from dynaforge.training.stored_training import CHECKPOINT
 TINY = {"n_groups": 4, "group_size": 2, "n_envs": 4}
 
 
+class Failing:
+    """A generator that makes an episode without a step."""
+
+    name = "planner_only"
+
+    def attempt(self, env: Any, condition: Condition) -> Episode:
+        outcome = Outcome(success=False, checkpoint=0, n_checkpoints=1, failure="asleep", phase="wait")
+        return Episode(condition=condition, generator=self.name, outcome=outcome, duration=0.0, steps={}, meta={})
+
+
 def options(*arguments: str) -> argparse.Namespace:
     return COMMANDS["compare"].read("compare", arguments)
 
@@ -27,6 +42,7 @@ def options(*arguments: str) -> argparse.Namespace:
 def tiny(folder: Path, **changes: object) -> RunSpec:
     spec = RunSpec(
         task="can",
+        setting=Setting(),
         variant="frontier_grpo",
         algo="frontier_grpo",
         changes=TINY,
@@ -155,6 +171,48 @@ def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text(json.dumps(about))
     with pytest.raises(ValueError, match=r"'learning_rate': 7\.0"):
         spec.check()
+
+
+def test_a_run_of_another_definition_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:
+    spec = tiny(tmp_path)
+    written = json.dumps({"run": spec.identity(), "settings": spec.settings()})
+    (tmp_path / "run.json").write_text(written)
+    strict = replace(spec, setting=Setting(reflex="strict"))
+    with pytest.raises(ValueError) as refused:
+        strict.check()
+    asked = f"made under {spec.setting}, now {strict.setting} is asked for"
+    remedy = "Choose another --out, or --report-only without a setting to report what is stored."
+    assert str(refused.value) == f"{tmp_path} holds a run {asked}. {remedy}"
+    strict.check(definition=False)
+    other = json.loads(written)
+    other["run"]["task_definition"] = "0" * 16
+    (tmp_path / "run.json").write_text(json.dumps(other))
+    with pytest.raises(ValueError, match="holds a run of another definition of task 'can' than the present one"):
+        spec.check()
+    for field in ("task_definition", "in_any_setting", "setting"):
+        del other["run"][field]
+    (tmp_path / "run.json").write_text(json.dumps(other))
+    with pytest.raises(ValueError, match="holds a run made under older physics, now reflex contact, physics varied"):
+        spec.check()
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_the_planner_of_another_setting_is_refused(tmp_path: Path) -> None:
+    planner = tiny(tmp_path / "planner_only", variant="planner_only", algo="", changes={}, steps=0)
+    planner.folder.mkdir()
+    runs.evaluate(planner.make_task(), Failing(), replace(planner.evaluation, attempts=1), planner.folder / "exam.json")
+    with pytest.raises(ValueError, match="'attempts': 1"):
+        planner.check()
+    replace(planner, evaluation=replace(planner.evaluation, attempts=1)).check()
+    with pytest.raises(ValueError, match="now reflex contact, physics wide, sensing ideal is asked for"):
+        replace(planner, setting=Setting(physics="wide")).check()
+
+
+def test_the_setting_reaches_every_run() -> None:
+    specs = compare.matrix(options("--algos", "grpo", "--reflex", "30", "--sensing", "real", "--train-seeds", "1"))
+    for spec in specs:
+        task = RunSpec.from_json(spec.to_json()).make_task()
+        assert task.setting == Setting(reflex=30.0, sensing="real")
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,3 +145,18 @@ def test_runs_measured_on_different_conditions_do_not_compare(tmp_path: Path) ->
     (tmp_path / "0" / "exam.json").write_text("{")
     with pytest.raises(ValueError, match="holds no readable run"):
         Comparison.load(tmp_path, [tmp_path / "0"])
+
+
+def test_runs_of_several_definitions_are_named_and_not_to_be_compared() -> None:
+    assert "Made under older physics.\n" in comparison_table(RUNS)
+    ours = [replace(r, definition="1", setting="reflex contact") for r in RUNS.runs]
+    assert "Made under reflex contact.\n" in comparison_table(Comparison(tuple(ours)))
+    peg = [replace(r, task="peg") for r in RUNS.runs]
+    apart = Comparison((*ours, *peg))
+    assert "Made under reflex contact (can); older physics (peg).\n" in comparison_table(apart)
+    assert "Do not compare" not in comparison_table(apart)
+    mixed = Comparison((*ours[:3], *RUNS.runs[3:], *peg))
+    assert mixed.mixed_tasks == ["can"]
+    table = comparison_table(mixed)
+    assert "reflex contact (can/planner_only, can/grpo); older physics (can/frontier_grpo, peg)" in table
+    assert "Do not compare the runs of can: they are of several definitions of the task." in table

@@ -18,7 +18,7 @@ from dynaforge.training.varied import check_varied
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    add_task_argument(parser, "--task", several=True)
+    add_task_argument(parser, "--task", several=True, setting=True)
     known = variants()
     parser.add_argument(
         "--algos",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from typing import Any, cast
 
 from dynaforge.options.refusal import Refused
@@ -53,3 +54,15 @@ def reflex(text: str) -> Reflex:
 def chosen_parts(options: argparse.Namespace) -> tuple[str, ...]:
     """Return the parts of the setting that were asked for by flags."""
     return tuple(name for name in Setting.__slots__ if getattr(options, name, None) is not None)
+
+
+def setting_lines(settings: Iterable[tuple[str, str]]) -> list[str]:
+    """Return a line for each setting, with the names of all that have it: "can, peach: reflex contact, ...".
+
+    Args:
+        settings: Names, each with its setting in words.
+    """
+    names: dict[str, dict[str, None]] = {}  # without repetition, in order
+    for name, setting in settings:
+        names.setdefault(setting, {})[name] = None
+    return [f"{', '.join(found)}: {setting}" for setting, found in names.items()]
