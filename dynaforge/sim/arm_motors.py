@@ -62,7 +62,7 @@ class ArmMotors:
         self, client: Any, body: int, joints: list[int], robot: RobotDescription, *, substeps: int, control_dt: float
     ) -> None:
         self.dynamics = ArmDynamics(robot)
-        self._robot, self._dt = robot, control_dt
+        self._robot, self._substeps = robot, substeps
         self._most = robot.effort_max - robot.torque_margin
         command = partial(client.setJointMotorControlArray, bodyUniqueId=body, jointIndices=joints)
         self._feed_forward = partial(command, controlMode=p.TORQUE_CONTROL)
@@ -72,15 +72,9 @@ class ArmMotors:
             forces=robot.torque_margin.tolist(),
             velocityGains=[VELOCITY_GAIN] * len(joints),
         )
-        u = np.arange(1, substeps + 1) / substeps
-        # The cubic in terms of position and velocity at its start and its end. Bullet compares a position with the one
-        # before the substep, and a velocity with the one after it.
-        s = u - 1 / substeps
-        ease = 3 * s**2 - 2 * s**3
-        self._position = np.column_stack((1 - ease, s**3 - 2 * s**2 + s, ease, s**3 - s**2))
-        self._velocity = np.column_stack((6 * u**2 - 6 * u, 3 * u**2 - 4 * u + 1, 6 * u - 6 * u**2, 3 * u**2 - 2 * u))
-        middle = u - 0.5 / substeps
-        self._blend = np.column_stack((1 - middle, middle))
+        self._motion = _cubic(substeps, control_dt)
+        middle = (np.arange(substeps) + 0.5) / substeps
+        self._blend = np.column_stack((1.0 - middle, middle))
         self.reset()
 
     def reset(self, gain: float = 1.0, *, q: Array | None = None) -> None:
@@ -92,28 +86,46 @@ class ArmMotors:
         """
         self._gains = [gain * POSITION_GAIN] * 7
         self._q = self._robot.q_ready if q is None else q
-        self._mean, self._dq = np.zeros(7), np.zeros(7)
+        self._dq, self._moved = np.zeros(7), np.zeros(7)
         self.last: list[ArmCommand] = []
 
     def plan(self, q: Array) -> list[ArmCommand]:
         """Return the commands of the control step that ends at joint positions q (rad, shape (7,)), and move on."""
-        dt, q0, dq0 = self._dt, self._q, self._dq
-        mean = (q - q0) / dt
-        dq = 1.5 * mean - 0.5 * self._mean
-        ends = np.array((q0, dt * dq0, q, dt * dq))
-        torques = np.array(
-            (
-                self.dynamics.torque(q0, dq0, (6.0 * mean - 4.0 * dq0 - 2.0 * dq) / dt),
-                self.dynamics.torque(q, dq, (2.0 * dq0 + 4.0 * dq - 6.0 * mean) / dt),
-            )
-        )
+        n, q0, dq0, move = self._substeps, self._q, self._dq, q - self._q
+        motion = self._motion @ np.array((q0, move, dq0, self._moved))
+        dq, first, last = motion[2 * n :]
+        torques = np.array((self.dynamics.torque(q0, dq0, first), self.dynamics.torque(q, dq, last)))
         torques = np.minimum(np.maximum(self._blend @ torques, -self._most), self._most)
-        self._q, self._mean, self._dq = q, mean, dq
-        path, velocities = self._position @ ends, self._velocity @ ends / dt
-        self.last = list(map(ArmCommand, path.tolist(), velocities.tolist(), torques.tolist()))
+        self._q, self._dq, self._moved = q, dq, move
+        path, velocities = motion[:n].tolist(), motion[n : 2 * n].tolist()
+        self.last = list(map(ArmCommand, path, velocities, torques.tolist()))
         return self.last
 
     def run(self, command: ArmCommand) -> None:
         """Command the motors for the next substep."""
         self._correct(targetPositions=command.q, targetVelocities=command.dq, positionGains=self._gains)
         self._feed_forward(forces=command.torque)
+
+
+def _cubic(substeps: int, dt: float) -> Array:
+    """Return the matrix that makes a control step's motion out of its ends, shape (2 substeps + 3, 4).
+
+    It is applied to four rows: position at the start, move during the control step, velocity at the start, move during
+    the control step before. It gives, one below the other, the positions at the start of each substep and the
+    velocities at its end, since Bullet compares a position with the one before the substep and a velocity with the one
+    after it; then the velocity at the end, and the accelerations at the start and at the end.
+
+    Args:
+        substeps: Number of substeps in a control step.
+        dt: Duration of a control step, seconds.
+    """
+    place, move, dq0, moved = np.eye(4)
+    dq = (1.5 * move - 0.5 * moved) / dt
+    # The cubic p(u) over u in [0, 1], as coefficients of 1, u, u^2 and u^3.
+    cubic = np.array((place, dt * dq0, 3.0 * move - dt * (2.0 * dq0 + dq), dt * (dq0 + dq) - 2.0 * move))
+    u = np.arange(substeps + 1)[:, None] / substeps
+    one, nil = np.ones_like(u), np.zeros_like(u)
+    positions = np.hstack((one, u, u**2, u**3)) @ cubic
+    velocities = np.hstack((nil, one, 2.0 * u, 3.0 * u**2)) @ cubic / dt
+    accelerations = np.array(((0.0, 0.0, 2.0, 0.0), (0.0, 0.0, 2.0, 6.0))) @ cubic / dt**2
+    return np.vstack((positions[:-1], velocities[1:], dq, accelerations))
