@@ -14,6 +14,7 @@ from dynaforge.sim import HandTarget
 from dynaforge.sim.robot import RobotDescription
 
 ARRIVED = 1e-10  # rad, rad/s, rad/s^2
+TRACKING_ITERATIONS = 2  # of inverse kinematics in a control step; the next one goes on from there
 LOOK_AHEAD = 1.2  # control steps: one, and a share for what a joint moves on while its brakes build up
 LEAST_SPEED = 1e-3  # rad/s; Ruckig needs a speed to plan with, even for a joint at its end that must not move on
 
@@ -96,7 +97,8 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        return self._advance(self.kinematics.solve(target.pose, self._reference.joints.q).q, target.width)
+        solution = self.kinematics.solve(target.pose, self._reference.joints.q, max_iterations=TRACKING_ITERATIONS)
+        return self._advance(solution.q, target.width)
 
     def to_joints(self, q_target: Array, width: float) -> JointReference:
         """Move one control step toward joint targets (rad, shape (7,), clamped to the limits) and an opening (m).
