@@ -10,6 +10,7 @@ from tqdm import tqdm
 from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos.folder_checks import read_notes, verify_folder
 from dynaforge.generators.recording_checks import VerifyOptions, check_recordings
+from dynaforge.reports.forces import force_lines
 
 
 def run(options: argparse.Namespace) -> int:
@@ -30,6 +31,10 @@ def run(options: argparse.Namespace) -> int:
         for finding in findings:
             tqdm.write(str(finding))
         n_findings += len(findings)
+    if options.audit:
+        demonstrations = [a for name in notes.names if (a := notes.attempts.get(name)) and a.success]
+        for line in force_lines(demonstrations, task):
+            print(line)
     treatment = "read and made again" if options.replay else "read"
     counts = f"{len(notes.names)} episodes {treatment}, {len(notes.attempts)} attempts in the ledger"
     print(f"{counts}: {n_findings or 'no'} problems")

@@ -35,6 +35,7 @@ def contradictions(episode: Episode, task: Task, kinematics: ArmKinematics) -> I
     """
     yield from _outcome(episode, task)
     if len(episode):
+        yield from _peaks(episode)
         yield from _clock(episode, task)
         yield from _program(episode, task)
         yield from _residual(episode.steps, task)
@@ -89,6 +90,13 @@ def _clock(episode: Episode, task: Task) -> Iterator[str]:
         yield f"it has {len(time)} control steps, more than the phases of the task may last"
     if abs(episode.duration - dt * len(time)) > EXACT:
         yield f"its duration is {episode.duration:g} s, its {len(time)} control steps take {dt * len(time):g} s"
+
+
+def _peaks(episode: Episode) -> Iterator[str]:
+    """Check that no control step has a greater force than the episode; only the last step is in no column."""
+    if _has(episode.steps, "peak_force") and episode.loads is not None:
+        greatest = episode.loads.peak_force
+        yield from _first(episode.steps["peak_force"] > greatest, f"peak_force exceeds the episode's {greatest:.4g} N")
 
 
 def _program(episode: Episode, task: Task) -> Iterator[str]:

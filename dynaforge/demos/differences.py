@@ -39,7 +39,7 @@ def differences(recorded: Episode, again: Episode) -> list[str]:
 
 
 def _outcome(episode: Episode) -> dict[str, Any]:
-    return episode.outcome.to_dict() | {"duration": episode.duration}
+    return episode.outcome.to_dict() | {"duration": episode.duration, "greatest load": episode.loads}
 
 
 def _columns(recorded: Episode, again: Episode) -> list[str]:

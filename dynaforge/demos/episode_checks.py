@@ -71,10 +71,10 @@ def of_ledger(attempts: Mapping[str, Attempt]) -> Check:
     def check(episode: Episode) -> Iterator[str]:
         if (noted := attempts.get(episode.id)) is None:
             return
-        found = Attempt.of(episode).to_dict()
-        for name, value in noted.to_dict().items():
-            if name not in ("wall_seconds", "block", "recorded") and value != found[name]:
-                yield f"the ledger notes {name} {value!r}, the file {found[name]!r}"
+        line, found = noted.facts(), episode.facts()
+        for name in line | found:
+            if line.get(name) != found.get(name):
+                yield f"the ledger notes {name} {line.get(name)!r}, the file {found.get(name)!r}"
 
     return check
 
@@ -117,6 +117,8 @@ def of_physics(again: Callable[[Episode], Episode] | None, replayer: Replayer | 
             yield f"its replay leaves the recording: {replay.divergence}{_versions(episode)}"
         elif replay.success != episode.success:
             yield f"its success is recorded as {episode.success}, its replay ends in {replay.success}"
+        elif episode.loads not in (None, replay.loads):
+            yield f"its loads are recorded as {episode.loads}, its replay gives {replay.loads}"
 
     return check
 

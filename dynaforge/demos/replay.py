@@ -12,6 +12,7 @@ from dynaforge.demos.episode import Episode
 from dynaforge.sim import SceneState, SimScene
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.delays import DelayLine, Delays
+from dynaforge.sim.loads import Loads
 from dynaforge.tasks import Task
 from dynaforge.tasks.success import SuccessJudge
 
@@ -41,10 +42,12 @@ class Replay:
     Attributes:
         divergence: Where it first left the recording; None when every bit agrees.
         success: Whether the task's success predicate had been true for the required time at the end.
+        loads: The greatest external loads on the robot.
     """
 
     divergence: Divergence | None
     success: bool
+    loads: Loads
 
 
 class Replayer:
@@ -72,7 +75,7 @@ class Replayer:
         for step, state in enumerate(states, 1):
             divergence = divergence or first_difference(episode, step, state)
             success = judge.push(state)
-        return Replay(divergence, success)
+        return Replay(divergence, success, self.scene.loads)
 
     def states(self, episode: Episode) -> Iterator[SceneState]:
         """Simulate an episode again and yield the state at the beginning of each step, and the one after the last.
@@ -136,6 +139,7 @@ def _measured(state: SceneState) -> Iterator[tuple[str, Any]]:
     yield "ee_position", state.ee.position
     yield "ee_quat_wxyz", state.ee.quat_wxyz
     yield "width", state.width
+    yield "peak_force", state.loads.peak_force
     for name, body in state.objects.items():
         columns = body.columns
         for kind in ("object", "fixture"):

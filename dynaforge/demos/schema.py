@@ -62,6 +62,10 @@ SCHEMA: Mapping[str, Field] = MappingProxyType(
         "phase": Field(meaning="Index into `meta['phases']` of the phase that acted.", dtype="int16"),
         "gate": Field(meaning="Residual gate m of Eq. 5.", dtype="bool"),
         **_ROBOT,
+        "peak_force": Field(
+            meaning="Greatest net contact force on the robot in a substep of the control step before; 0 at first.",
+            unit="N",
+        ),
         **{f"object/<name>/{key}": field for key, field in _BODY.items()},
         **{f"fixture/<name>/{key}": field for key, field in _BODY.items()},
         **{f"sensed/{key}": _sensed(field) for key, field in _ROBOT.items()},

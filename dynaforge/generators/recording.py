@@ -82,6 +82,7 @@ def measured(states: Sequence[SceneState], task: Task) -> dict[str, Any]:
     columns: dict[str, Any] = {
         "time": [s.time for s in states],
         **_robot(states),
+        "peak_force": [s.loads.peak_force for s in states],
         "left_contact": [left for left, _ in contacts],
         "right_contact": [right for _, right in contacts],
     }

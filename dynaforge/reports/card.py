@@ -16,7 +16,9 @@ from dynaforge.demos.observations import ObservationFolder, ObservationRenderer,
 from dynaforge.evaluation import DgrReport
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.evaluation import by_generator, reports_of
+from dynaforge.reports.forces import describe_peaks, describe_reflex
 from dynaforge.reports.video import contact_sheet
+from dynaforge.sim.loads import Loads
 from dynaforge.tasks import Task
 
 SHEET = "contact.png"
@@ -49,7 +51,7 @@ Made with
 SHEET_EPISODES, SHEET_MOMENTS = 4, 4  # rows and columns of the contact sheet
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
     """What the card says about an episode: episodes themselves are too large to keep until it is written.
 
@@ -58,18 +60,21 @@ class Exported:
         steps: Number of control steps.
         made_by: Its generator, and the digest of the policy.
         versions: Versions of the packages that it was recorded with, as JSON.
+        loads: The greatest loads on the robot; None where they are not known.
     """
 
     id: str
     steps: int
     made_by: str
     versions: str
+    loads: Loads | None
 
     @staticmethod
     def of(episode: Episode) -> Exported:
         """Take what the card needs from an episode."""
         made_by = " ".join(f"{episode.generator} {episode.meta.get('policy_hash', '')}".split())
-        return Exported(episode.id, len(episode), made_by, json.dumps(episode.meta.get("versions", {}), sort_keys=True))
+        versions = json.dumps(episode.meta.get("versions", {}), sort_keys=True)
+        return Exported(id=episode.id, steps=len(episode), made_by=made_by, versions=versions, loads=episode.loads)
 
 
 def write_card(
@@ -132,6 +137,10 @@ def _facts(task: Task, episodes: Sequence[Exported], reports: Sequence[DgrReport
         "demonstrations": f"{len(episodes)}, {sum(steps)} control steps at {task.scene.fps} Hz "
         f"({min(steps)} to {max(steps)} each)",
         "robot": "simulated Franka arm and hand (PyBullet), from the ready pose",
+        "reflex": describe_reflex(task.setting.reflex),
+        "peak force": describe_peaks([episode.loads for episode in episodes], task.setting.reflex),
+        "hidden physics": task.setting.physics,
+        "sensing": task.setting.sensing,
         "skill": task.skill,
         "instruction": task.instruction,
         "randomised": task.randomisation,

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from dynaforge.demos import Attempt, Episode
+from dynaforge.evaluation.dgr_tables import describe_forces
 from dynaforge.reports.evaluation import by_generator, reports_of
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import ActionLayout
@@ -17,10 +18,11 @@ RESIDUALS = ("x", "y", "z", "rotation x", "rotation y", "rotation z", "width")
 
 
 def attempt_tables(attempts: Sequence[Attempt], task: Task) -> Iterator[str]:
-    """Yield the rates of each generator, and how long its attempts took."""
+    """Yield the rates of each generator, how hard its successes press, and how long its attempts took."""
     grouped = by_generator(attempts)
     for report in reports_of(task, grouped):
-        yield f"{report.table()}\n{_wall_time(grouped[report.label])}"
+        lines = report.table(), describe_forces(report), _wall_time(grouped[report.label])
+        yield "\n".join(line for line in lines if line)
 
 
 def recording_summary(episodes: Sequence[Episode], task: Task) -> str:

@@ -32,6 +32,8 @@ def test_a_folder_and_its_card(data: Path, name: str, capsys: pytest.CaptureFixt
     card = (out / "README.md").read_text()
     for words in ("Peach: 2 demonstrations", "of 2 attempts", "joint_7, width", "license: mit", f"format | {name}"):
         assert words in card, words
+    assert "| reflex | contact: above 100 N" in card
+    assert "| peak force | median " in card
     assert (out / "contact.png").read_bytes().startswith(b"\x89PNG")
     assert main(["export", str(data), "--format", name]) == 2
     assert "exists already" in capsys.readouterr().err

@@ -19,6 +19,7 @@ def test_info_tells_of_rates_lengths_residuals_and_size(tmp_path: Path, capsys: 
     assert "Can, 3 recordings of 3 attempts" in printed
     for reason in {attempt.failure for attempt in done if not attempt.success}:
         assert reason in printed
+    assert "planner_only: success with the reflex contact" in printed
     steps = sum(len(episode) for episode in dataset)
     assert f"{steps} steps in all" in printed
     width = np.concatenate([e.steps["projected_action"][:, 7] for e in dataset])

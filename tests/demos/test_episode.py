@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from demo_episodes import make_episode
 
-from dynaforge.demos import DamagedFileError, Episode
+from dynaforge.demos import Attempt, DamagedFileError, Episode
 from dynaforge.demos.episode_file import read_episode, write_episode
+from dynaforge.demos.ledger import Ledger
 from dynaforge.demos.schema import SCHEMA, schema_markdown
 from dynaforge.sim import Condition
+from dynaforge.sim.loads import Loads
 from dynaforge.tasks import Outcome
 
 
@@ -135,3 +137,17 @@ def test_schema_page_lists_every_name():
 def test_an_episode_is_shown_on_one_line() -> None:
     assert repr(make_episode()) == "Episode(can, planner, success, 20 steps)"
     assert repr(make_episode(success=False, steps=3)) == "Episode(can, planner, failure 'timeout in close', 3 steps)"
+
+
+def test_the_loads_of_an_attempt_are_kept_in_its_line_and_old_lines_have_none(tmp_path):
+    outcome = Outcome(success=True, checkpoint=4)
+    old = Attempt(condition=Condition("can", 1, 0.3, {}), generator="planner_only", outcome=outcome, duration=1.0)
+    new = replace(old, generator="residual", loads=Loads(peak_force=31.5, force=12.25, strict=0.6125))
+    ledger = Ledger(tmp_path / "attempts.jsonl")
+    ledger.append(old)
+    ledger.append(new)
+    assert "loads" not in old.to_dict()
+    assert [attempt.loads for attempt in ledger.attempts()] == [None, new.loads]
+    for wrong in ({"push": 1.0}, {"force": -1.0}, 3):
+        with pytest.raises(ValueError, match="loads"):
+            Attempt.from_dict(new.to_dict() | {"loads": wrong})

@@ -41,7 +41,7 @@ TASK = "toycar"
 COLUMNS = [
     name.replace("<name>", "toycar") for name in SCHEMA if not name.startswith(("fixture/", "sensed/"))
 ]  # those of a task without fixtures under ideal sensing
-UNSEEN = {"dq", "width", "left_contact", "right_contact"} | {name for name in COLUMNS if "/" in name}
+UNSEEN = {"dq", "width", "peak_force", "left_contact", "right_contact"} | {name for name in COLUMNS if "/" in name}
 
 
 def recorded(task: Task, n: int) -> list[Episode]:
@@ -174,6 +174,8 @@ LABELS: dict[str, tuple[Callable[[Episode], Episode], str]] = {
         "its phase is recorded as 'approach'",
     ),
     "duration": (lambda e: replace(e, duration=e.duration + 1.0), "its duration is recorded as"),
+    "loads": (lambda e: replace(e, loads=replace(e.loads, force=1.0)), "its greatest load is recorded as"),
+    "no loads": (lambda e: replace(e, loads=None), "its greatest load is recorded as None"),
     "condition": (other_condition, "joint_reference is not what its attempt made again gives from step 0 on"),
     "length": (cut, "it continues after its last recorded step"),
     "a column left out": (without, "planner_action is missing"),

@@ -7,13 +7,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
-from dynaforge.demos import DemonstrationDataset, Episode
+from dynaforge.demos import Attempt, DemonstrationDataset, Episode
 from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
@@ -21,6 +22,7 @@ from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly
+from dynaforge.sim.loads import Loads
 from dynaforge.tasks import Outcome, get_task
 from dynaforge.tasks.digest import task_digest
 
@@ -216,6 +218,49 @@ def test_an_outcome_that_the_ledger_contradicts_is_named(dataset: DemonstrationD
     }
 
 
+FACTS = [*make_episode().facts(), "loads"]
+OPTIONAL = ("loads",)  # older dynaforges did not note them
+
+
+def lacking(facts: dict[str, Any], name: str, *, keep: bool) -> dict[str, Any]:
+    return {key: value for key, value in facts.items() if keep or key != name}
+
+
+@pytest.mark.parametrize("in_file", [True, False], ids=["file has it", "file lacks it"])
+@pytest.mark.parametrize("in_ledger", [True, False], ids=["ledger has it", "ledger lacks it"])
+@pytest.mark.parametrize("name", FACTS)
+def test_a_fact_that_the_ledger_or_the_file_lacks_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, in_ledger: bool, in_file: bool
+) -> None:
+    made, episode = DemonstrationDataset(tmp_path, task="can"), replace(make_episode(), loads=Loads(peak_force=31.5))
+    made.note_source("planner", Provenance(policy="p", task_definition="t"))
+    line, header = Attempt.of(episode, recorded=True).to_dict(), episode.header()
+    with monkeypatch.context() as patched:
+        patched.setattr(Attempt, "to_dict", lambda self: lacking(line, name, keep=in_ledger))
+        patched.setattr(Episode, "header", lambda self: lacking(header, name, keep=in_file))
+        made.record(Attempt.of(episode), episode)
+    found = problems(made)
+    if in_ledger == in_file and (in_file or name in OPTIONAL):
+        assert found == {}
+    elif name in OPTIONAL:
+        (problem,) = found[f"{episode.id}.h5"]
+        assert problem.startswith(f"the ledger notes {name} ")
+        assert "None" in problem
+    else:
+        assert ("line 1 was torn or altered" in found.get("ledger.jsonl", [])) == (not in_ledger)
+        assert (f"{episode.id}.h5" in found) == (not in_file)
+
+
+def test_a_load_that_the_ledger_contradicts_is_named(tmp_path: Path) -> None:
+    made, episode = DemonstrationDataset(tmp_path, task="can"), replace(make_episode(), loads=Loads(peak_force=31.5))
+    made.note_source("planner", Provenance(policy="p", task_definition="t"))
+    made.add(episode)
+    write_episode(made.file_of(episode.id), replace(episode, loads=Loads(peak_force=30.0)))
+    (problem,) = problems(made)[f"{episode.id}.h5"]
+    assert "'peak_force': 31.5" in problem
+    assert "'peak_force': 30.0" in problem
+
+
 @pytest.fixture
 def real(tmp_path: Path) -> DemonstrationDataset:
     """Three attempts of the planner only, recorded whatever their outcome."""
@@ -229,7 +274,13 @@ def real(tmp_path: Path) -> DemonstrationDataset:
 
 def test_verify_ends_with_0_or_1(real: DemonstrationDataset, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(real.path), "--replay", "--audit"]) == 0
-    assert "3 episodes read and made again, 3 attempts in the ledger: no problems" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "3 episodes read and made again, 3 attempts in the ledger: no problems" in printed
+    for attempt in real.attempts():
+        loads = attempt.loads
+        assert loads is not None
+        line = f"  {attempt.id}: {loads.peak_force:5.1f} N, {loads.force:5.1f} N; exceeds"
+        assert (line in printed) == attempt.success
     flip(real.file_of(real.ids()[0]), np.random.default_rng(3))
     assert main(["verify", str(real.path)]) == 1
     assert real.ids()[0] in capsys.readouterr().out

@@ -18,7 +18,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--audit",
         action="store_true",
-        help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too",
+        help="look for teleports, edited velocities, broken limits; with --replay for deep overlaps too; and list how "
+        "hard each demonstration presses",
     )
     parser.add_argument(
         "--pictures",
