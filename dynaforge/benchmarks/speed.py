@@ -177,7 +177,10 @@ def _record(env: ResidualEnv, condition: Condition) -> RecordedCommands:
     with env.world.listening(steps.append):
         run_zero_residual(env, condition)
     references = [(step.reference.joints.q, step.reference.width) for step in steps]
-    return RecordedCommands(condition, motor_commands(env.world.scene, condition, references), steps[-1].after)
+    gates = [step.planned is not None and step.planned.gate for step in steps]
+    first_gate = gates.index(True) if any(gates) else None
+    commands = motor_commands(env.world.scene, condition, references, first_gate=first_gate)
+    return RecordedCommands(condition, commands, steps[-1].after)
 
 
 def _replay(scene: SimScene, recording: RecordedCommands) -> tuple[float, bool]:

@@ -91,7 +91,11 @@ class Replayer:
         yield self.scene.reset(self.task.conditions.validate(episode.condition))
         robot, late = self.scene.robot, Delays.drawn_by(episode.condition, self.task.setting.sensing).action
         commands = DelayLine([(robot.q_ready, robot.width_max)] * late)
-        for q, width in zip(*references, strict=True) if len(episode) else ():
+        gates = episode.steps.get("gate", ())
+        first_gate = int(np.argmax(gates)) if np.any(gates) else None
+        for step, (q, width) in enumerate(zip(*references, strict=True) if len(episode) else ()):
+            if step == first_gate:
+                self.scene.save()  # as `World.execute` does
             yield self.scene.step(*commands.push((np.array(q), float(width))))
 
     def recorded_states(self, episode: Episode) -> Iterator[SceneState]:

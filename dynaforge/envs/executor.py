@@ -12,6 +12,7 @@ from dynaforge.geometry import JointState, JointTrajectory, Pose, one_line
 from dynaforge.planning import GlobalPlanner, JointReference, PlanFailure
 from dynaforge.sim import Condition, HandTarget, SceneState
 from dynaforge.sim.hand_target import raised_to
+from dynaforge.sim.snapshot import Memory, remember
 from dynaforge.tasks import Mode, Outcome, Phase, Task
 from dynaforge.tasks.predicates import Predicate
 from dynaforge.tasks.success import Hold
@@ -84,6 +85,10 @@ class PhaseExecutor:
         if sensed is not None and sensed is not state:
             self._seen = ViewTracker(sensed, lead_time=self._lead_time)
         self._enter(0, reference)
+
+    def memory(self) -> Memory:
+        """Return all that changes during an episode, for `put_back`."""
+        return remember(self, self._hold, self._true, self._seen)
 
     def advance(self, state: SceneState, reference: JointReference, *, sensed: SceneState | None = None) -> None:
         """Evaluate the predicates on the true state, then plan the next control step on the sensed one, or end.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 from dynaforge.envs.base import RenderMode, WorldEnv
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.observation import LIMIT, ObservationBuilder, residual_sizes
+from dynaforge.envs.prefix import Answer, Prefix
 from dynaforge.envs.residual import ResidualScale
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_choice, check_number
+from dynaforge.sim.checks import check_choice, check_flag, check_number
 from dynaforge.sim.setting import Physics, Reflex, Sensing
+from dynaforge.sim.snapshot import put_back, remember
 from dynaforge.tasks import FRAMES, Frame, Task, get_task
 from dynaforge.tasks.digest import definition_of
 
@@ -50,6 +53,10 @@ class ResidualEnv(WorldEnv):
         lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
         residual_frame: "target" or "world"; None takes the task's own.
         reflex, physics, sensing: The setting, as `Setting` explains it; None takes the task's own.
+        share_prefix: Whether an episode of the same condition as the one before goes back to the world at its first
+            gate instead of simulating again what comes before it. Both give the same bits. An env that films, senses as
+            a real one does or is listened to never does so. In gate mode "mask", the steps before the gate are then
+            answered from memory, while `world` is at the gate already.
 
     Raises:
         ValueError: The task, gate mode, render mode, frame or a part of the setting is unknown.
@@ -67,7 +74,9 @@ class ResidualEnv(WorldEnv):
         reflex: Reflex | None = None,
         physics: Physics | None = None,
         sensing: Sensing | None = None,
+        share_prefix: bool = True,
     ) -> None:
+        check_flag("share_prefix", share_prefix)
         check_choice("gate_mode", gate_mode, GATE_MODES)
         check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, *FRAMES))
@@ -81,6 +90,11 @@ class ResidualEnv(WorldEnv):
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, self.residual_scale.size)
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.residual_scale.size,), np.float32)
+        # A sensor draws as it goes on; a picture may be wanted of what comes before the gate.
+        self.share_prefix = share_prefix and self.task.setting.sensing == "ideal" and render_mode is None
+        self._prefix: Prefix | None = None
+        self._answers: list[Answer] | None = None  # of this episode, while no gate has opened
+        self._untold: deque[Answer] = deque()  # those of the prefix that are still to be given
         self._steps_left = 0  # control steps for which the latest residual is still to be kept
         self._filmed = False  # whether a picture was taken since the latest step or reset
         self._fresh = False  # whether nothing happened since the reset
@@ -109,12 +123,19 @@ class ResidualEnv(WorldEnv):
         """
         super().reset(seed=seed)
         condition = self._chosen(options)
-        self._begin(condition)
+        restored = self._restored(condition)
+        if not restored:
+            self._begin(condition)
+            if self.gate_mode == "skip":
+                self._run_until_gate()
         self._condition = condition
-        if self.gate_mode == "skip":
-            self._run_until_gate()
         self._filmed, self._fresh = False, True
-        return self._observation(), {"condition_id": self._condition.id}
+        if restored:
+            answer = self._untold.popleft().copy()
+        else:
+            self._answers = [] if self.share_prefix else None
+            answer = self._noted(Answer(self._observation(), 0.0, False, False, {}))
+        return answer.observation, {"condition_id": condition.id}
 
     def step(self, action: Observation) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Apply one residual decision.
@@ -127,6 +148,10 @@ class ResidualEnv(WorldEnv):
             RuntimeError: Called before `reset` or after `close`.
         """
         values = self._checked(action)
+        if self._untold and self.world.listeners:
+            self._simulate_told()
+        if self._untold:
+            return self._untold.popleft().copy()
         filmed, self._fresh = self._filmed, False
         decides = self._steps_left == 0 and self.executor.outcome is None and self.executor.action.gate
         if decides:
@@ -136,7 +161,7 @@ class ResidualEnv(WorldEnv):
         if self.gate_mode == "skip" and not filmed:
             self._run_until_gate()
         self._filmed = False
-        return self._result(decides)
+        return self._noted(self._result(decides))
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return an (H, W, 3) uint8 image in mode "rgb_array", and make the next step one control step.
@@ -154,8 +179,51 @@ class ResidualEnv(WorldEnv):
             self._filmed, self._fresh = True, False
         return super().render()
 
+    def _restored(self, condition: Condition) -> bool:
+        """Go back to the first gate of the condition, if that was the latest episode's and nobody listens."""
+        prefix = self._prefix
+        if prefix is None or prefix.condition != condition or self.world.listeners:
+            return False
+        if self.world.first_gate is not prefix.first_gate:  # the world was reset by other hands
+            return False
+        self.world.restore()
+        put_back(prefix.memory)
+        self._last_action = np.zeros(self.residual_scale.size)
+        self._steps_left = 0
+        self._answers = None
+        self._untold = deque(prefix.answers)
+        return True
+
+    def _noted(self, answer: Answer) -> Answer:
+        """Note an answer, until one is given at the first gate."""
+        if self._answers is None:
+            return answer
+        self._answers.append(answer.copy())
+        if self.executor.outcome is None and self.executor.action.gate:
+            assert self._condition is not None
+            self._prefix = Prefix(
+                condition=self._condition,
+                first_gate=self.world.state,
+                memory=[*self.executor.memory(), *remember(self.observer)],
+                answers=self._answers,
+            )
+            self._answers = None
+        return answer
+
+    def _simulate_told(self) -> None:
+        """Simulate what was answered from memory so far, for whoever listens from now on."""
+        assert self._prefix is not None
+        assert self._condition is not None
+        steps = len(self._prefix.answers) - len(self._untold) - 1  # the first of them is the reset's
+        listeners, self.world.listeners = self.world.listeners, []
+        self._begin(self._condition)
+        for _ in range(steps):
+            self._run_decision(at_most=self.task.residual.decision_steps)
+        self.world.listeners = listeners
+
     def _begin(self, condition: Condition) -> None:
         state = self.world.reset(condition)
+        self._untold.clear()
         self.observer.reset(self.world.sensed)
         self._last_action = np.zeros(self.residual_scale.size)
         self._steps_left = 0
@@ -186,7 +254,7 @@ class ResidualEnv(WorldEnv):
     def _observation(self) -> Observation:
         return self.observer.build(self.executor, self._last_action)
 
-    def _result(self, gated: bool) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def _result(self, gated: bool) -> Answer:
         outcome = self.executor.outcome
         info: dict[str, Any] = {"residual_mask": float(gated), "is_success": False}
         reward = 0.0
@@ -195,4 +263,4 @@ class ResidualEnv(WorldEnv):
             reward = outcome.episodic_return()
             info |= outcome.as_info()
             info |= {"condition_id": self._condition.id, "difficulty": self._condition.difficulty}
-        return self._observation(), reward, outcome is not None, False, info
+        return Answer(self._observation(), reward, outcome is not None, False, info)

@@ -24,6 +24,7 @@ from dynaforge.sim import Condition, HandTarget, SceneState, SimScene
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.checks import check_kind
 from dynaforge.sim.delays import DelayLine, Delays
+from dynaforge.sim.snapshot import put_back, remember
 from dynaforge.tasks import Task
 
 
@@ -78,6 +79,7 @@ class World:
         self.planner = GlobalPlanner(robot, self.kinematics, CollisionModel(robot), dt=dt)
         self.listeners: list[Callable[[ControlStep], None]] = []
         self._no_residual = np.zeros(7)
+        self._saved: object | None = None
         self._sensor = Sensor(dt) if task.setting.sensing == "real" else None
 
     def reset(self, condition: Condition) -> SceneState:
@@ -92,8 +94,28 @@ class World:
         self.follower.reset(robot.q_ready, robot.width_max)
         late = Delays.drawn_by(condition, self.task.setting.sensing).action
         self._commands = DelayLine([self.reference] * late)
+        self._gate_opened = False
         self.sensed = self._sensor.reset(self.state, condition) if self._sensor is not None else self.state
         return self.state
+
+    @property
+    def first_gate(self) -> SceneState | None:
+        """The scene at the first gate of the latest condition, to which `restore` goes back; None before it opened."""
+        return self._first_gate if self.scene.saved is not None and self.scene.saved is self._saved else None
+
+    def restore(self) -> None:
+        """Go back to `first_gate`, from which the same actions give the same bits every time."""
+        self.scene.restore()
+        put_back(self._memory)
+        self.local.restore(self.reference)
+
+    def _save(self) -> None:
+        self.scene.save()
+        self._saved, self._first_gate = self.scene.saved, self.state
+        self._gate_opened = True
+        own = {name: getattr(self, name) for name in ("state", "sensed", "reference", "_gate_opened")}
+        self._memory = [*remember(self.follower, self._commands), (self, own)]
+        self.local.restore(self.reference)
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
         """Apply Eq. 5 for one control step; `envs/residual.py` explains it.
@@ -102,6 +124,8 @@ class World:
             planned: a_plan and m.
             residual: scale * a_res as `ResidualScale.physical` returns it, shape (7,); None for a residual of zero.
         """
+        if planned.gate and not self._gate_opened:
+            self._save()  # in every episode, since it ends Bullet's contact caches
         residual = gated(residual, planned)
         requested = requested_target(planned, residual)
         reference = project(requested, planned, self.local)

@@ -84,7 +84,10 @@ class LocalPlanner:
         Raises:
             ValueError: A value is not finite.
         """
-        reference = JointReference.at_rest(q, width)
+        return self.restore(JointReference.at_rest(q, width))
+
+    def restore(self, reference: JointReference) -> JointReference:
+        """Go on from a reference of before; all that follows depends on nothing else."""
         self._load(reference.joints)
         self._reference = reference
         return reference

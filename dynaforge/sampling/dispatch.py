@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections import deque
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from dynaforge.geometry import one_line
 from dynaforge.sampling.job_routes import choose_route, idle_action
-from dynaforge.sampling.sampler import Job
+from dynaforge.sampling.sampler import Group, Job
 from dynaforge.sampling.vec_wrappers import Observations, WrapperStack, put_rows, take_rows
 
 MAX_UNCAPPED_STEPS = 100_000  # An episode without a cap that is longer is taken for one that never ends.
@@ -95,8 +95,9 @@ class EpisodeDispatcher:
         self._stack = WrapperStack(env)
         self._route = choose_route(self._stack.base)
         self._idle_actions = np.stack([idle_action(env.action_space)] * self.n_envs)
-        self._pending: deque[Job] = deque()
+        self._pending: list[Job] = []
         self._job: list[Job | None] = [None] * self.n_envs
+        self._group: list[Group | None] = [None] * self.n_envs  # of the latest job of each row
         self._acting = np.zeros(self.n_envs, dtype=bool)
         self._starting = np.zeros(self.n_envs, dtype=bool)
         self._returns = np.zeros(self.n_envs)
@@ -128,6 +129,9 @@ class EpisodeDispatcher:
     def submit(self, jobs: Iterable[Job]) -> None:
         """Queue jobs and start one in each env; `obs` then has their first observations.
 
+        The jobs of a group go to one row one after the other, so that an env can begin where they begin to differ. A
+        row that has none left takes the first group that no row has, then one of the group with the most jobs left.
+
         Raises:
             RuntimeError: Jobs of an earlier call are still running.
         """
@@ -157,6 +161,7 @@ class EpisodeDispatcher:
         self._pending.clear()
         self._acting[:] = self._starting[:] = False
         self._job = [None] * self.n_envs
+        self._group = [None] * self.n_envs
         self._route.release()
 
     @contextlib.contextmanager
@@ -174,10 +179,20 @@ class EpisodeDispatcher:
         for row in np.flatnonzero(~(self._acting | self._starting)).tolist():
             if not self._pending:
                 return
-            job = self._pending.popleft()
+            job = self._next_job(row)
             self._route.assign(row, job)
             self._job[row] = job
             self._starting[row] = True
+
+    def _next_job(self, row: int) -> Job:
+        left = Counter(job.group for job in self._pending)
+        group = self._group[row]
+        if group not in left:
+            group = next((each for each in left if each not in self._group), left.most_common(1)[0][0])
+        job = next(job for job in self._pending if job.group is group)
+        self._pending.remove(job)
+        self._group[row] = group
+        return job
 
     def _start_rows(self) -> None:
         # Rows usually start while others act. When none acts, a step without actions starts them.

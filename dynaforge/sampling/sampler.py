@@ -11,6 +11,7 @@ import numpy as np
 if TYPE_CHECKING:  # light to import: workers have no need of Stable-Baselines3
     from stable_baselines3.common.vec_env import VecEnv
 
+GOLDEN = (5**0.5 - 1) / 2  # multiples of it, modulo 1, keep neighbours apart
 MAX_QUOTED = 200  # characters of reset arguments quoted in an error
 
 
@@ -143,9 +144,11 @@ class StratifiedSampler:
         return groups
 
     def jobs(self, groups: Sequence[Group]) -> list[Job]:
-        """List the K jobs of each group in the order to run them: the first rollout of every group, then the second.
+        """List the K jobs of each group in the order to begin them: the first rollout of every group, then the second.
 
-        Run group by group, the last episodes of an update would be the hardest, and every trailing mean, such as
-        rollout/success_rate, would show the hard strata only.
+        Where envs are fewer than groups, they keep to the groups that they began with. Run from easy to hard, the last
+        episodes of an update would be the hardest, and every trailing mean, such as rollout/success_rate, would show
+        the hard strata only; so groups that follow each other are far apart.
         """
-        return [Job(group, rollout) for rollout in range(self.group_size) for group in groups]
+        spread = sorted(groups, key=lambda group: group.index * GOLDEN % 1.0)
+        return [Job(group, rollout) for rollout in range(self.group_size) for group in spread]

@@ -22,15 +22,17 @@ class MotorCommands:
         arm: Commands to the arm's motors, one per substep.
         hand: What `Hand.command` is told in the course of it.
         fixtures: Motor speeds of each fixture, rad/s or m/s.
+        opens_gate: Whether the first gate opens before it, where `World` saves the scene.
     """
 
     arm: list[ArmCommand]
     hand: HandCommand
     fixtures: list[list[float]]
+    opens_gate: bool
 
 
 def motor_commands(
-    scene: SimScene, condition: Condition, references: Sequence[tuple[Array, float]]
+    scene: SimScene, condition: Condition, references: Sequence[tuple[Array, float]], *, first_gate: int | None
 ) -> list[MotorCommands]:
     """Simulate an episode and return the commands to its motors.
 
@@ -39,16 +41,19 @@ def motor_commands(
         condition: The condition of the episode.
         references: Joint reference (rad, shape (7,)) and opening (m) of each control step, as `SimScene.step` takes
             them.
+        first_gate: Index of the first control step whose gate was open; None where there was none.
 
     Returns:
         The commands of each control step.
     """
     spec, fixtures = scene.spec, scene._bullet.fixtures.values()
     state, commands = scene.reset(condition), []
-    for q, width in references:
+    for step, (q, width) in enumerate(references):
+        if step == first_gate:
+            scene.save()
         due = [fixture.due(state.time + spec.control_dt, spec.control_dt) for fixture in fixtures]
         state = scene.step(q, width)
-        commands.append(MotorCommands(scene._arm.last, scene._hand.last, due))
+        commands.append(MotorCommands(scene._arm.last, scene._hand.last, due, step == first_gate))
     return commands
 
 
@@ -63,7 +68,8 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
         commands: What `motor_commands` returned for it.
 
     Returns:
-        CPU seconds without the reset, and the state at the end, whose time is not updated.
+        CPU seconds without the reset and the save at the first gate, and the state at the end, whose time is not
+        updated.
     """
     scene.reset(condition)
     # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.
@@ -72,6 +78,10 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
     due_substep = hand.state.due
     begin = time.process_time()
     for step in commands:
+        if step.opens_gate:
+            paused = time.process_time()
+            scene.save()
+            begin += time.process_time() - paused
         for fixture, due in zip(fixtures, step.fixtures, strict=True):
             fixture.command(due)
         for substep, command in enumerate(step.arm):

@@ -16,19 +16,17 @@ from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_pictur
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
 from dynaforge.sim.contacts import ContactReader
+from dynaforge.sim.exact_restore import ExactRestore
 from dynaforge.sim.force_watch import ForceWatch
-from dynaforge.sim.hand import HAND_DELAY, Hand
+from dynaforge.sim.hand import HAND_DELAY, Hand, HandState
 from dynaforge.sim.loads import Loads
 from dynaforge.sim.reflex import ReflexName, thresholds
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.shapes import LinkName, VisualShape, link_poses, visual_shapes
+from dynaforge.sim.snapshot import Memory, put_back, remember
 from dynaforge.sim.spec import Launch, Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
 from dynaforge.sim.surfaces import Surfaces
-
-PARKED_STEPS = 2  # substeps at each reset; in the second, Bullet finds its list of pairs empty
-# Collision group and mask; FREE and BOLTED are those that Bullet assigns when it loads a body.
-WITH_NOTHING, FREE, BOLTED = (0, 0), (1, -1), (2, -3)
 
 
 class SimScene:
@@ -75,6 +73,7 @@ class SimScene:
         self._bullet = load_scene(spec, self.robot, visuals=visuals, gui=gui)
         self.names = tuple(self._bullet.bodies)
         self._surfaces = Surfaces(self._bullet)
+        self._restoring = ExactRestore(self._bullet)
         self._saved = self._bullet.client.saveState()
         self._bind_hot_calls()
         client, body, joints = self._bullet.client, self._bullet.robot.body, self._bullet.robot.arm
@@ -82,6 +81,8 @@ class SimScene:
         self._hand = Hand(client, self._bullet.robot, self.robot, substeps=spec.substeps, physics_dt=spec.physics_dt)
         self._watch = ForceWatch(client, body, self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
+        self._condition: Condition | None = None
+        self._saved_later: tuple[int, HandState, Memory] | None = None
 
     def _bind_hot_calls(self) -> None:
         # Looking a function up in the client costs a third of the time of a short call.
@@ -92,15 +93,7 @@ class SimScene:
         self._body_pose = client.getBasePositionAndOrientation
         self._body_twist = client.getBaseVelocity
         self._contacts = ContactReader(self._bullet)
-        self._register = client.setCollisionFilterGroupMask
-        free = {name: body.body for name, body in self._bullet.free.items()}
-        self._observed = tuple(free.items())
-        fixtures = [body for fixture in self._bullet.fixtures.values() for body in fixture.variants]
-        self._colliding = [
-            (body, link, BOLTED if body in fixtures or (link == -1 and body not in free.values()) else FREE)
-            for body in (robot.body, self._bullet.table, *free.values(), *fixtures)
-            for link in range(-1, client.getNumJoints(body))
-        ]
+        self._observed = [(name, body.body) for name, body in self._bullet.free.items()]
 
     # ---------------------------------------------------------------- episode
 
@@ -110,16 +103,10 @@ class SimScene:
         Raises:
             ValueError: The task's `launch` does not return a valid start of the condition.
         """
-        client = self._bullet.client
-        client.restoreState(self._saved)
-        # Bullet's broad phase has state of its own. Pairs that were in contact keep their caches; when they are dropped
-        # depends on where in its list of pairs it resumes looking for stale ones; and that decides which bodies are
-        # solved together, hence the last bits. Steps in which nothing may collide empty the list and reset that place.
-        self._register_bodies(colliding=False)
-        for _ in range(PARKED_STEPS):
-            self._step_physics()
-        self._register_bodies(colliding=True)
-        client.restoreState(self._saved)
+        if condition != self._condition:
+            self._forget()
+        self._condition = condition
+        self._restoring.restore(self._saved)
         hidden = condition.hidden
         self._surfaces.apply(hidden)
         self._hand.reset(hidden.get("hand_delay", HAND_DELAY))
@@ -133,17 +120,39 @@ class SimScene:
         self._time = 0.0
         return self.observe()
 
-    def _register_bodies(self, *, colliding: bool) -> None:
-        """Re-register every body with the broad phase in load order.
+    def save(self) -> None:
+        """Save the world as it is now, until the next call or a reset to another condition, and go on from there.
 
-        The solver processes contacts in that order, and 20 iterations do not converge: with the robot last, the planner
-        fails on one peach in ten.
-
-        Args:
-            colliding: Whether the bodies may collide.
+        Bullet's contact caches are lost, as at a reset, so that all that follows is the same now and after `restore`.
+        What a condition fixes once and for all, such as masses, is not part of it.
         """
-        for body, link, kind in self._colliding:
-            self._register(body, link, *(kind if colliding else WITH_NOTHING))
+        self._forget()
+        memory = [*remember(self._arm, self._watch), (self, {"_time": self._time})]
+        self._saved_later = (self._bullet.client.saveState(), self._hand.state, memory)
+        self.restore()
+
+    @property
+    def saved(self) -> object | None:
+        """Stands for the saved world: another object after each `save`, None while nothing is saved."""
+        return self._saved_later
+
+    def restore(self) -> None:
+        """Go back to the saved world, from which the same references give the same bits every time.
+
+        Raises:
+            RuntimeError: None was saved.
+        """
+        if self._saved_later is None:
+            raise RuntimeError("No world is saved: call save() after reset().")
+        state, hand, memory = self._saved_later
+        self._restoring.restore(state)
+        self._hand.restore(hand)
+        put_back(memory)
+
+    def _forget(self) -> None:
+        if self._saved_later is not None:  # otherwise Bullet keeps 0.2 MB for each
+            self._bullet.client.removeState(self._saved_later[0])
+        self._saved_later = None
 
     def _launch(self, name: str, launch: Launch, mass: float) -> None:
         client, free = self._bullet.client, self._bullet.free[name]

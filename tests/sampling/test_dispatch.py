@@ -142,6 +142,19 @@ def test_a_free_row_starts_while_others_act():
     assert dispatcher.ticks == 5  # 1 to start both, then 4: row 1 runs job 1, starts job 2, runs it
 
 
+def test_a_group_stays_with_one_env_until_none_of_its_jobs_is_left():
+    groups = [job.group for job in jobs([2, 3, 2])]
+    dispatcher = EpisodeDispatcher(dummy(2))
+    dispatcher.submit([Job(group, rollout) for rollout in range(4) for group in groups])
+    ran = [[], []]
+    while dispatcher.busy:
+        tick = dispatcher.step(np.full((2, 1), 0.5, np.float32))
+        for row in np.flatnonzero(tick.dones):
+            ran[row].append(tick.jobs[row].group.index)
+    dispatcher.release()
+    assert ran == [[0, 0, 0, 0, 2, 2, 2], [1, 1, 1, 1, 2]]
+
+
 @pytest.mark.parametrize("make", [lambda: dummy(4), lambda: StockVecEnv([CountingEnv] * 4)])
 def test_normalisation_counts_exactly_the_observations_acted_on(make):
     env = VecNormalize(make(), norm_reward=False)
