@@ -110,7 +110,8 @@ def test_no_object_is_faster_than_launch_fall_and_hand_can_make_it(episodes: lis
                 assert np.linalg.norm(body.velocity) <= np.linalg.norm(launched.velocity) + pushed + fallen
 
 
-def test_only_the_hand_gives_an_object_speed_on_the_table(episodes: list[Watch]) -> None:
+def test_only_hand_and_gravity_give_an_object_speed_on_the_table(episodes: list[Watch]) -> None:
+    """A car that the hand has tilted may gain what it loses in height when it drops back onto all wheels, no more."""
     alone = 0
     for step in (step for watch in episodes for step in watch.steps):
         for name in step.before.on_table:
@@ -119,6 +120,10 @@ def test_only_the_hand_gives_an_object_speed_on_the_table(episodes: list[Watch])
             away = min(np.linalg.norm(place - after.pose.position) for place in hand) > CONTACT_RANGE
             if away and step.before.on_table[name] and step.after.on_table[name]:
                 alone += 1
-                assert np.linalg.norm(after.velocity) <= np.linalg.norm(before.velocity) + 1e-4
+                drop = max(0.0, before.pose.position[2] - after.pose.position[2])
+                assert (
+                    np.linalg.norm(after.velocity)
+                    <= np.sqrt(before.velocity @ before.velocity + 2 * 9.81 * drop) + 1e-4
+                )
     rolling = [s for s in (watch.steps[0].before for watch in episodes) if any(s.on_table.values())]
     assert alone >= 10 * len(rolling)
