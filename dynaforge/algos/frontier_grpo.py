@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from dynaforge.algos.buffer import GroupRolloutBuffer
 from dynaforge.algos.collection import CollectionSettings, run_rounds
 from dynaforge.algos.group_results import GroupResults
-from dynaforge.algos.learning import learn_from, remember
+from dynaforge.algos.learning import fitting_record, learn_from, log_counters, remember
 from dynaforge.algos.options import (
     AdvantageScale,
     GroupFilter,
@@ -80,6 +80,8 @@ class FrontierGRPO(ResumableAlgorithm):
         anchor_coef: Weight of KL(old || new) on groups that succeeded throughout. The filter drops them, so that
             nothing else keeps the policy as it is there; not in the paper, where it is 0.
         target_kl: Ends an update whose approximate KL exceeds 1.5 times this.
+        desired_kl: The rate follows the KL of the updates: after one of more than twice this it falls by 1.5, after one
+            of less than half it rises by 1.5, at most to what `learning_rate` says. Not in the paper: None.
         max_grad_norm: Gradient clipping.
         max_episode_steps: Ends longer episodes; needed for envs that never end.
         timesteps: What `num_timesteps` counts: "active", steps taken inside episodes; "gated", of these only the ones
@@ -98,6 +100,7 @@ class FrontierGRPO(ResumableAlgorithm):
     Attributes:
         optimizer_steps: Steps of the optimizer so far; SB3's `_n_updates` counts epochs.
         transitions_used: Gated transitions of kept groups so far, each counted once per update.
+        rate_factor: With `desired_kl`, what the scheduled rate is multiplied by.
         stratum_record: Success of each stratum from its own trials; None with equal weights.
         skipped_updates: Iterations in which no group was kept.
         last_group_success: Success of the last iteration, shape (N, K); None when the env does not report it.
@@ -135,6 +138,7 @@ class FrontierGRPO(ResumableAlgorithm):
         kl_coef: float = 0.0,
         anchor_coef: float = 0.0,
         target_kl: float | None = None,
+        desired_kl: float | None = None,
         max_grad_norm: float = 0.5,
         max_episode_steps: int | None = None,
         timesteps: TimestepCount = "active",
@@ -175,7 +179,7 @@ class FrontierGRPO(ResumableAlgorithm):
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
         self.stratum_weights = stratum_weights
         self.scale_advantage, self.scale_learning_rate, self.loss_agg = scale_advantage, scale_learning_rate, loss_agg
-        self.kl_coef, self.anchor_coef, self.target_kl = kl_coef, anchor_coef, target_kl
+        self.kl_coef, self.anchor_coef, self.target_kl, self.desired_kl = kl_coef, anchor_coef, target_kl, desired_kl
         self.max_episode_steps, self.timesteps, self.resample_max = max_episode_steps, timesteps, resample_max
         self._seed_generators(seed)
         self._start_counting()
@@ -185,6 +189,7 @@ class FrontierGRPO(ResumableAlgorithm):
     def _start_counting(self) -> None:
         """Set counters and the results of the last iteration to those of a model that has not been trained."""
         self.optimizer_steps = self.transitions_used = self.skipped_updates = 0
+        self.rate_factor = 1.0
         self.last_group_success: NDArray[np.bool_] | None = None
         self.last_group_returns: Array | None = None
         self.last_group_strata: NDArray[np.int64] | None = None
@@ -198,10 +203,7 @@ class FrontierGRPO(ResumableAlgorithm):
         if not hasattr(self, "observation_space"):
             raise ValueError("FrontierGRPO needs an env to build its policy: pass an env id, an env or a VecEnv.")
         check_grpo_options(self)
-        if self.stratum_weights == "equal":
-            self.stratum_record = None
-        elif self.stratum_record is None or len(self.stratum_record.wins) != self.n_groups:
-            self.stratum_record = StratumRecord.empty(self.n_groups)
+        self.stratum_record = fitting_record(self)
         self.n_steps = self.n_groups * self.group_size
         super()._setup_model()
         high = self.clip_range if self.clip_range_high is None else self.clip_range_high
@@ -287,10 +289,6 @@ class FrontierGRPO(ResumableAlgorithm):
             self.optimizer_steps += report.optimizer_steps
             report.log(self.logger)
         self.transitions_used += len(kept)
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        self.logger.record("train/optimizer_steps", self.optimizer_steps)
-        self.logger.record("frontier/transitions_used", self.transitions_used)
-        self.logger.record("frontier/share_transitions_used", len(kept) / self.rollout_buffer.size())
-        self.logger.record("frontier/skipped_updates", self.skipped_updates)
+        log_counters(self, len(kept) / self.rollout_buffer.size())
         watch.log(self.logger, "optimize")
         self._end_iteration()

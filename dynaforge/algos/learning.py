@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaforge.algos.adaptive_rate import followed
 from dynaforge.algos.advantages import group_advantages
 from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.group_results import GroupResults
@@ -38,7 +39,29 @@ def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, Upda
     model.policy.set_training_mode(True)
     settings = UpdateSettings.of(model, model._current_progress_remaining)
     anchors = _anchors(model, results, keep)
-    return kept, update_policy(model.policy, kept, settings, rng=model.minibatch_rng, anchors=anchors)
+    report = update_policy(model.policy, kept, settings, rng=model.minibatch_rng, anchors=anchors)
+    if model.desired_kl is not None:
+        # An update that overshoots and returns went far too, which only the mean over its steps shows.
+        went = max(report.update_kl, report.approx_kl)
+        model.rate_factor = followed(model.rate_factor, went, model.desired_kl)
+    return kept, report
+
+
+def log_counters(model: Any, share_used: float) -> None:
+    """Record what a FrontierGRPO has counted so far, and the share of the iteration's transitions that it used."""
+    model.logger.record("train/n_updates", model._n_updates, exclude="tensorboard")
+    model.logger.record("train/optimizer_steps", model.optimizer_steps)
+    model.logger.record("frontier/transitions_used", model.transitions_used)
+    model.logger.record("frontier/share_transitions_used", share_used)
+    model.logger.record("frontier/skipped_updates", model.skipped_updates)
+
+
+def fitting_record(model: Any) -> StratumRecord | None:
+    """Return the record of strata that a FrontierGRPO's options ask for: its own, or a new one if that does not fit."""
+    record: StratumRecord | None = model.stratum_record
+    if model.stratum_weights == "equal":
+        return None
+    return record if record is not None and len(record.wins) == model.n_groups else StratumRecord.empty(model.n_groups)
 
 
 def remember(model: Any, results: GroupResults) -> None:
@@ -53,8 +76,10 @@ def remember(model: Any, results: GroupResults) -> None:
 
 def learned_state(model: Any) -> dict[str, Array]:
     """Return what a FrontierGRPO has learned besides its weights, by name: what a training checkpoint keeps of it."""
-    record = model.stratum_record
-    return {} if record is None else {name: getattr(record, name) for name in ("wins", "losses", "waits")}
+    state: dict[str, Array] = {} if model.desired_kl is None else {"rate_factor": np.array([model.rate_factor])}
+    if model.stratum_record is not None:
+        state |= {name: getattr(model.stratum_record, name) for name in ("wins", "losses", "waits")}
+    return state
 
 
 def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
@@ -63,6 +88,8 @@ def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
     Raises:
         KeyError: It lacks something that the options ask for.
     """
+    if model.desired_kl is not None:
+        model.rate_factor = float(state["rate_factor"][0])
     if model.stratum_record is not None:
         model.stratum_record = StratumRecord(*(np.array(state[name]) for name in ("wins", "losses", "waits")))
 

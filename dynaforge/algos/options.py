@@ -191,8 +191,9 @@ def check_grpo_options(model: Any) -> None:
     for name in WEIGHTS:
         check_number(name, getattr(model, name))
     check_number("max_grad_norm", model.max_grad_norm, above=0.0, finite=False)  # infinity never clips
-    if model.target_kl is not None:
-        check_number("target_kl", model.target_kl, above=0.0)
+    for name in ("target_kl", "desired_kl"):
+        if getattr(model, name) is not None:
+            check_number(name, getattr(model, name), above=0.0)
     check_schedule("learning_rate", model.learning_rate)
     check_schedule("clip_range", model.clip_range, above=0.0)  # at 0 the policy could not move
     if model.clip_range_high is not None:

@@ -39,6 +39,8 @@ class UpdateSettings:
             # Eq. 7 scales each kept group to the same deviation, whether one of its rollouts failed or all but one: a
             # policy that hardly ever fails would change as much per update as one that has everything to learn.
             rate *= 1.0 - float(model.last_group_success.mean())
+        if model.desired_kl is not None:
+            rate *= model.rate_factor
         return UpdateSettings(
             learning_rate=rate,
             n_epochs=model.n_epochs,
@@ -60,6 +62,7 @@ class UpdateReport:
         loss: Whole loss.
         policy_gradient_loss: Its surrogate part.
         approx_kl: KL(old || new), estimated on the kept transitions.
+        update_kl: The same at the end of the update: how far it went.
         clip_fraction: Share of ratios outside the clip range.
         n_epochs: Epochs begun.
         optimizer_steps: Steps taken.
@@ -70,6 +73,7 @@ class UpdateReport:
     loss: float
     policy_gradient_loss: float
     approx_kl: float
+    update_kl: float
     clip_fraction: float
     n_epochs: int
     optimizer_steps: int
@@ -78,7 +82,7 @@ class UpdateReport:
 
     def log(self, logger: Logger) -> None:
         """Record losses, rate and noise under train/, named as SB3's PPO names them."""
-        for name in ("learning_rate", "loss", "policy_gradient_loss", "approx_kl", "clip_fraction"):
+        for name in ("learning_rate", "loss", "policy_gradient_loss", "approx_kl", "update_kl", "clip_fraction"):
             logger.record(f"train/{name}", getattr(self, name))
         if self.std is not None:
             logger.record("train/std", self.std)
@@ -140,6 +144,7 @@ def update_policy(
         loss=mean_loss,
         policy_gradient_loss=surrogate,
         approx_kl=kl,
+        update_kl=_distance(policy, kept, settings.batch_size),
         clip_fraction=outside,
         n_epochs=epochs,
         optimizer_steps=steps,
@@ -177,6 +182,17 @@ def _loss(
             "The policy was left as it was before this step; lower learning_rate or set target_kl."
         )
     return loss, figures
+
+
+@th.no_grad()
+def _distance(policy: ActorCriticPolicy, kept: KeptTransitions, batch_size: int | None) -> float:
+    """Return the mean estimate of KL(old || new) over the kept transitions."""
+    total = 0.0
+    for start in range(0, len(kept), batch_size or len(kept)):
+        part = kept.rows(slice(start, start + (batch_size or len(kept))))
+        log_prob = policy.get_distribution(part.observations).log_prob(part.actions)
+        total += float(estimated_kl(log_prob, part.log_probs).sum())
+    return total / len(kept)
 
 
 def _refuse_bad_gradient(policy: ActorCriticPolicy, norm: th.Tensor) -> None:

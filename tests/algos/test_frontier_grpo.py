@@ -283,6 +283,7 @@ NAMES = [
             "loss",
             "policy_gradient_loss",
             "approx_kl",
+            "update_kl",
             "clip_fraction",
             "learning_rate",
             "std",

@@ -52,7 +52,16 @@ def test_wrong_options_are_named(options, message):
 
 NUMBERS = {
     "whole": ("n_groups", "group_size", "n_epochs", "batch_size", "resample_max", "max_episode_steps", "seed"),
-    "real": ("learning_rate", "clip_range", "clip_range_high", "kl_coef", "anchor_coef", "target_kl", "max_grad_norm"),
+    "real": (
+        "learning_rate",
+        "clip_range",
+        "clip_range_high",
+        "kl_coef",
+        "anchor_coef",
+        "target_kl",
+        "desired_kl",
+        "max_grad_norm",
+    ),
 }
 BAD = {"whole": (2.5, "8", True, -2, float("nan")), "real": ("fast", -1.0, float("nan"), True, [1.0])}
 
