@@ -31,6 +31,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "global-plans": lambda task, rounds: _of("speed").global_plans(task),
     "control-steps": lambda task, rounds: _of("speed").control_rate(task, rounds=rounds),
     "vectorised": lambda task, rounds: _of("vector").vectorised(task, rounds=rounds),
+    "prefix": lambda task, rounds: _of("prefix").shared_prefix(),
     "trainer": lambda task, rounds: _of("training").trainer(task, rounds=rounds),
     "collection": lambda task, rounds: _of("training").collection(task, rounds=rounds),
     "writing": lambda task, rounds: _of("data").writing(task, rounds=rounds),

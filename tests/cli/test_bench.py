@@ -8,6 +8,7 @@ import pytest
 from dynaforge.benchmarks import data as bench_data
 from dynaforge.benchmarks import determinism as bench_determinism
 from dynaforge.benchmarks import limits as bench_limits
+from dynaforge.benchmarks import prefix as bench_prefix
 from dynaforge.benchmarks import speed as bench_speed
 from dynaforge.benchmarks import suite
 from dynaforge.benchmarks import training as bench_training
@@ -93,6 +94,7 @@ QUICK = {
     "reset": lambda task: bench_speed.scene_reset(task, rounds=1, n=2),
     "control-steps": lambda task: bench_speed.control_rate(task, rounds=1, n=2),
     "vectorised": lambda task: bench_vector.vectorised(task, rounds=1, n_envs=2, n_steps=10),
+    "prefix": lambda task: bench_prefix.shared_prefix(tasks=(task.name,), n_groups=1, group_size=2),
     "trainer": lambda task: bench_training.trainer(task, rounds=1),
     "collection": lambda task: bench_training.collection(task, rounds=1),
     "writing": lambda task: bench_data.writing(task, rounds=1),

@@ -128,6 +128,44 @@ def test_a_condition_of_which_nothing_is_saved_is_simulated_from_its_start() -> 
     fresh.close()
 
 
+def test_at_most_one_world_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = ResidualEnv("can")
+    client, kept = env.world.scene._bullet.client, set()
+    save, remove = client.saveState, client.removeState
+
+    def saved() -> int:
+        kept.add(state := save())
+        return state
+
+    def removed(state: int) -> None:
+        kept.remove(state)
+        remove(state)
+
+    monkeypatch.setattr(client, "saveState", saved, raising=False)
+    monkeypatch.setattr(client, "removeState", removed, raising=False)
+    for seed in (0, 0, 1, 2):
+        episode(env, env.task.conditions.draw(np.random.default_rng(seed)), 0, most=1)
+        assert len(kept) == 1
+    env.close()
+
+
+def test_whoever_begins_to_listen_before_the_gate_hears_all_that_follows() -> None:
+    env, alone = ResidualEnv("can", gate_mode="mask"), ResidualEnv("can", gate_mode="mask", share_prefix=False)
+    condition = env.task.conditions.draw(np.random.default_rng(1))
+    episode(env, condition, 0, most=30)
+    times = []
+    for each in (env, alone):
+        each.reset(options={"condition": condition})
+        idle = np.zeros(each.action_space.shape, np.float32)
+        each.step(idle)
+        with each.world.listening((steps := []).append):
+            each.step(idle)
+        times.append([(step.before.time, step.after.q.tobytes()) for step in steps])
+        each.close()
+    assert times[0] == times[1]
+    assert times[0]
+
+
 def test_whoever_listens_hears_whole_episodes() -> None:
     env = ResidualEnv("can")
     condition = env.task.conditions.draw(np.random.default_rng(1))
