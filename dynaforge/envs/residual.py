@@ -38,15 +38,14 @@ class ResidualScale:
 
     Args:
         spec: The task's scales and frame.
-        frame: Replaces the task's own frame.
 
     Attributes:
         frame: "target" or "world".
         size: Size of an action.
     """
 
-    def __init__(self, spec: ResidualSpec, frame: Frame | None = None) -> None:
-        self.frame: Frame = frame or spec.frame
+    def __init__(self, spec: ResidualSpec) -> None:
+        self.frame: Frame = spec.frame
         scales = np.array(spec.scales)
         self._active = np.flatnonzero(scales)
         self._scales = scales[self._active]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -80,12 +81,15 @@ class ResidualEnv(WorldEnv):
         check_choice("gate_mode", gate_mode, GATE_MODES)
         check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, *FRAMES))
+        task = task if isinstance(task, Task) else get_task(task)
+        if residual_frame is not None:
+            task = replace(task, residual=replace(task.residual, frame=residual_frame))
         super().__init__(task, render_mode, reflex=reflex, physics=physics, sensing=sensing)
         self.gate_mode = gate_mode
         self.executor = PhaseExecutor(
             self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
         )
-        self.residual_scale = ResidualScale(self.task.residual, residual_frame)
+        self.residual_scale = ResidualScale(self.task.residual)
         self.residual_frame = self.residual_scale.frame
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, self.residual_scale.size)
         self.observation_space = gym.spaces.Box(-LIMIT, LIMIT, (self.observer.size,), np.float32)

@@ -14,6 +14,7 @@ from typing import Any
 
 from dynaforge.files.atomic import atomic_write, make_folder
 from dynaforge.tasks import get_task
+from dynaforge.training.run_spec import setting_in_words
 
 REQUEST = "forge.json"
 REPORT = "report.html"  # written last
@@ -86,7 +87,9 @@ class ForgeFolder:
 
 def asked_for(options: argparse.Namespace) -> dict[str, Any]:
     """Return the arguments that identify a run, as plain data; the number of workers may change."""
-    return {name: getattr(options, name) for name in REQUESTED} | {"task": get_task(options.task).name}
+    task = get_task(options.task).under(reflex=options.reflex, physics=options.physics, sensing=options.sensing)
+    asked = {name: getattr(options, name) for name in REQUESTED}
+    return asked | {"task": task.name, "setting": task.setting.to_dict()}
 
 
 def default_folder(options: argparse.Namespace) -> Path:
@@ -113,4 +116,5 @@ def _read(path: Path) -> Any:
 
 
 def _spell(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in sorted(values.items()))
+    words = {name: setting_in_words(value) if name == "setting" else value for name, value in sorted(values.items())}
+    return ", ".join(f"{name} {value}" for name, value in words.items())

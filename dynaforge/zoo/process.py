@@ -57,6 +57,7 @@ class ZooProcess:
             self._wrap(manager, name, self._noting_the_start)
         if own_envs and script == "train":
             self._wrap(manager, "create_envs", _monitoring_success)
+            self._wrap(manager, "create_envs", _noting_the_task)
         if script == "record_training":
             self._put(subprocess, "call", _calling_our_recorder(subprocess.call))
             self._undo.enter_context(_ffmpeg_on_path())
@@ -179,6 +180,17 @@ def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:
     return create_envs
 
 
+def _noting_the_task(create: Callable[..., Any]) -> Callable[..., Any]:
+    """Keep the task with the setting of the envs: they are closed when the policy is saved."""
+
+    def create_envs(manager: Any, *args: Any, **kwargs: Any) -> Any:
+        env = create(manager, *args, **kwargs)
+        manager.task = env.get_attr("task")[0]
+        return env
+
+    return create_envs
+
+
 def _saying_what_is_continued(load: Callable[..., Any]) -> Callable[..., Any]:
     """Print what is continued of the earlier run: rl_zoo3 counts steps from 0 again, and may find no statistics."""
 
@@ -200,13 +212,12 @@ def _saving_the_policy(save: Callable[[Any, Any], None]) -> Callable[[Any, Any],
         save(manager, model)
         if not any(env_id(task) == manager.env_name.gym_id for task in ENV_NAMES):
             return
-        task = model.get_env().get_attr("task")[0]  # with the setting that the env was made with
         from dynaforge.algos.policy_file import POLICY_FILE
         from dynaforge.training.model import policy_file
 
         try:
             updates = model._n_updates // getattr(model, "n_epochs", 1)
-            policy = policy_file(model, task, algo=manager.algo, seed=manager.seed, updates=updates)
+            policy = policy_file(model, manager.task, algo=manager.algo, seed=manager.seed, updates=updates)
         except ValueError as error:
             print(f"No policy.safetensors: {error}")
             return

@@ -3,6 +3,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -96,6 +97,11 @@ def test_without_a_folder_the_latest_run_that_waits_goes_on(tmp_path: Path, monk
     assert opened("--seed", "1").path == Path("runs/can-2")
     assert opened("--seed", "1").path == Path("runs/can-2")
     assert opened().path == Path("runs/can-3")
+    assert opened("--reflex", "strict").path == Path("runs/can-4")
+    assert opened("--reflex", "strict").resumed
+    with pytest.raises(ValueError, match=r"run with setting reflex contact, .*, now setting reflex 30 N, "):
+        opened("--reflex", "30", "--out", "runs/can-1")
+    shutil.rmtree("runs/can-4")
     Path("runs/can-3/report.html").touch()
     assert opened().path == Path("runs/can-4")
 

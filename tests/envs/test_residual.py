@@ -36,7 +36,7 @@ def local() -> LocalPlanner:
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_an_action_is_scaled_by_the_share_and_turned_into_the_world(frame: str) -> None:
-    scale, now = ResidualScale(SPEC, frame), running()
+    scale, now = ResidualScale(replace(SPEC, frame=frame)), running()
     assert scale.size == 4, "dimensions of scale 0 have no number"
     residual = scale.physical(np.array((1.0, -1.0, 0.5, -0.5)), now)
     turn = now.frame.rotation if frame == "target" else np.eye(3)
@@ -47,7 +47,7 @@ def test_an_action_is_scaled_by_the_share_and_turned_into_the_world(frame: str) 
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_a_residual_tells_its_action_and_an_impossible_one_the_nearest(frame: str) -> None:
-    scale, now, rng = ResidualScale(SPEC, frame), running(), np.random.default_rng(0)
+    scale, now, rng = ResidualScale(replace(SPEC, frame=frame)), running(), np.random.default_rng(0)
     for size in np.logspace(-9, 0, 50):
         action = scale.read(rng.uniform(-size, size, scale.size))
         assert scale.nearest_action(scale.physical(action, now), now).tobytes() == action.tobytes()

@@ -13,6 +13,7 @@ from dynaforge.envs.world import World
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Phase, Task, get_task
+from dynaforge.tasks.digest import task_digest
 from dynaforge.tasks.targets import Raised
 
 TASK = get_task("can")
@@ -165,8 +166,9 @@ def test_the_width_residual_changes_the_width_alone(skip: Traced) -> None:
     assert step.requested.width == pytest.approx(step.planned.target.width - TASK.residual.width)
 
 
-def test_the_world_frame_is_a_named_choice() -> None:
+def test_the_world_frame_is_a_named_choice_and_part_of_the_task() -> None:
     env = Traced(ResidualEnv("can", residual_frame="world"))
+    assert task_digest(env.unwrapped.task) == task_digest(replace(TASK, residual=replace(TASK.residual, frame="world")))
     env.reset(options={"condition": condition(4)})
     env.step(np.array((1, 0, 0, 0, 0), np.float32))
     np.testing.assert_allclose(env.trace.steps[-1].residual[:3], (TASK.residual.translation[0], 0, 0))

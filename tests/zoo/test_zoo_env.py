@@ -6,16 +6,21 @@ import itertools
 import os
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import gymnasium as gym
 import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
 from test_zoo import run, zoo_process
 
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.sim.setting import Setting
 from dynaforge.tasks import get_task
 from dynaforge.training.settings import hyperparameters
-from dynaforge.zoo import algorithm
+from dynaforge.zoo import algorithm, process
 from dynaforge.zoo import scripts as zoo
 
 
@@ -104,6 +109,24 @@ def test_statistics_of_a_run_are_not_unpickled_unasked(
     assert not asked
     zoo.main([*which, "--trusted"])
     assert asked
+
+
+def test_a_policy_is_of_the_setting_of_its_envs_which_are_closed_when_it_is_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env_name = SimpleNamespace(gym_id="DynaForge/Can-v0")
+    manager = SimpleNamespace(algo="ppo", seed=0, save_path=str(tmp_path), env_name=env_name)
+    model, saved = SimpleNamespace(_n_updates=0), []
+    monkeypatch.setattr(
+        "dynaforge.training.model.policy_file",
+        lambda model, task, **_: saved.append(task.setting) or SimpleNamespace(save=lambda path: None),
+    )
+    made = DummyVecEnv([partial(gym.make, "DynaForge/Can-v0", reflex="strict", physics="fixed")])
+    env = process._noting_the_task(lambda manager: made)(manager)
+    env.close()
+    made.envs = []
+    process._saving_the_policy(lambda manager, model: None)(manager, model)
+    assert saved == [Setting(reflex="strict", physics="fixed")]
 
 
 @pytest.mark.slow
