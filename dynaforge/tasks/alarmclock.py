@@ -1,4 +1,10 @@
-"""AlarmClock: press the button of an alarm clock that rides on a turntable."""
+"""AlarmClock: press the button of an alarm clock that rides on a turntable.
+
+Search finds a winning residual for two conditions in three only, because the middle of a button must be met within 5 mm
+in a range of 120 x 60 mm; feedback finds more. Two hand-written residuals that follow the offset of the hand, with and
+without a lead that grows with the speed, win 97 and 92 % of 64 conditions of `val`. With 2 s for `press` instead of 4 s
+they win 88 and 83 %: a miss is tried again from above, all visits count together, and a fast button takes several.
+"""
 
 from __future__ import annotations
 
@@ -118,7 +124,7 @@ TASK = Task(
             ramp=REDUCED_SPEED,
             lowest=TIP - 0.005,
             retry=("track", MISSED),
-            timeout=2.0,
+            timeout=4.0,
             failure="missed button",
         ),
     ),
