@@ -1,6 +1,7 @@
 """Hidden physics: a condition fixes it, whatever was simulated before, and nobody is told."""
 
 import hashlib
+from dataclasses import replace
 from itertools import islice
 
 import gymnasium as gym
@@ -70,6 +71,26 @@ def test_each_hidden_field_reaches_the_physics_and_is_taken_back(field):
     assert now({field: 1.25}) == pytest.approx(1.25 * nominal)
     assert now({}) == nominal
     scene.close()
+
+
+def test_a_can_rolls_less_far_and_loses_speed_in_proportion_to_the_rolling_friction(scene):
+    nominal = next(get_task("can").under(physics="fixed").conditions.stream("val"))
+
+    def rolled(factor):
+        """Return the distance (m) that the can rolls in a second, and the speed (m/s) that it loses."""
+        first = scene.reset(replace(nominal, hidden={"rolling_friction": factor})).objects["can"]
+        for _ in range(30):
+            last = scene.step(scene.robot.q_ready, 0.08).objects["can"]
+        speeds = [np.linalg.norm(body.velocity) for body in (first, last)]
+        return np.linalg.norm(last.pose.position - first.pose.position), speeds[0] - speeds[1]
+
+    far, lost = rolled(1.0)
+    assert far > 0.7
+    assert lost > 0.02
+    for factor in (HIDDEN["rolling_friction"].varied[1], HIDDEN["rolling_friction"].wide[1]):
+        less_far, more_lost = rolled(factor)
+        assert more_lost == pytest.approx(factor * lost, rel=0.02)
+        assert far - less_far == pytest.approx((more_lost - lost) / 2, rel=0.1)
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)

@@ -70,6 +70,11 @@ def pressed(
     )
 
 
+def knocking(state: SceneState, force: float) -> SceneState:
+    """The robot also presses on the clock other than with its fingers, newtons."""
+    return replace(state, contacts=replace(state.contacts, knocks={"alarmclock": force}))
+
+
 @pytest.mark.parametrize("touching", [(True, True), (True, False), (False, True)])
 def test_a_press_in_the_middle_past_the_click_point_counts(touching: tuple[bool, bool]) -> None:
     assert SUCCESS(view(pressed(CLICK, OFF_CENTRE - 1e-9, touching=touching)), Pose.identity())
@@ -83,6 +88,8 @@ def test_a_press_in_the_middle_past_the_click_point_counts(touching: tuple[bool,
         pytest.param(pressed(by=0.0, off=0.009), id="knocked from the side"),
         pytest.param(pressed(width=0.02), id="pressed with open fingers"),
         pytest.param(pressed(touching=(False, False)), id="pressed by something else"),
+        pytest.param(knocking(pressed(), 1.0), id="pressed with a push against the housing"),
+        pytest.param(knocking(pressed(touching=(False, False)), 3.0), id="pressed by the palm"),
     ],
 )
 def test_a_near_miss_does_not_count(state: SceneState) -> None:
