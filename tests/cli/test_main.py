@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import TASK_NAMES
@@ -70,3 +71,11 @@ def test_list_and_describe_show_what_the_task_data_says(capsys: pytest.CaptureFi
     page = capsys.readouterr().out
     for word in ("pregrasp", "track", "descend", "close", "lift", "speed (difficulty) | 0.05 | 1.5"):
         assert word in page
+
+
+def test_measurements_in_several_settings_do_not_overwrite_each_other() -> None:
+    asked = ([], ["--physics", "wide"], ["--physics", "wide:hand_delay"], ["--reflex", "strict"], ["--reflex", "30"])
+    files = [COMMANDS["evaluate"].read("evaluate", arguments).out for arguments in asked]
+    assert files[0] == Path("runs/evaluate/planner_only-val.json")
+    assert files[2] == Path("runs/evaluate/planner_only-val-wide-hand_delay.json")
+    assert len(set(files)) == len(files)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.setting import chosen_parts
 from dynaforge.cli.arguments.shared import add_observations, add_stream, add_workers
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
@@ -51,7 +53,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=OutputPath("file"),
-        help="JSON file, conditions and outcomes included; by default runs/evaluate/GENERATORS-STREAM.json",
+        help="JSON file, conditions and outcomes included; by default runs/evaluate/GENERATORS-STREAM.json, or "
+        "GENERATORS-STREAM-SETTING.json if a setting is chosen",
     )
 
 
@@ -66,6 +69,12 @@ def check(options: argparse.Namespace) -> None:
         options.generator.append("learner")
 
 
+def default_file(options: argparse.Namespace) -> Path:
+    """Return the default file: its name tells the generators, the stream and what was chosen of the setting."""
+    setting = [str(getattr(options, name)).replace(":", "-") for name in chosen_parts(options)]
+    return Path("runs/evaluate") / f"{'-'.join(['+'.join(options.generator), options.stream, *setting])}.json"
+
+
 COMMAND = Command(
     text="demonstration generation rate of a generator on stored condition streams",
     examples=(
@@ -75,5 +84,5 @@ COMMAND = Command(
     ),
     add=add,
     check=check,
-    default_out=lambda options: f"runs/evaluate/{'+'.join(options.generator)}-{options.stream}.json",
+    default_out=default_file,
 )
