@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from dynaforge.options.parser import Parser
 from dynaforge.options.refusal import Refused
 from dynaforge.options.words import Choice
 from dynaforge.sim.checks import quoted
+from dynaforge.sim.setting import Setting
 
 PLAYERS = ("enjoy", "record_video", "record_training")
 """Scripts of rl_zoo3 that load a trained model."""
@@ -48,9 +51,18 @@ def zoo_parser(script: str, *, complete: bool = True) -> Parser:
         if "required" in meaning:
             meaning["required"] = complete and (meaning["required"] or name in NEEDED.get(script, ()))
         parser.add_argument(*names, **meaning)
+    if script not in PLOTTERS:
+        for name in Setting.__slots__:
+            parser.add_argument(f"--{name}", type=partial(_meant_for_the_env, name))
     parser.add_argument("--trusted", action="store_true")
     parser.add_argument("-h", "--help", action="store_true")
     return parser
+
+
+def _meant_for_the_env(name: str, text: str) -> str:
+    """Refuse a part of the setting, which other commands take as a flag, and say how rl_zoo3 takes it."""
+    value = text if re.fullmatch(r"[0-9.]+", text) else quoted(text)
+    raise Refused(f'is an argument of the env here: --env-kwargs "{name}:{value}".')
 
 
 def zoo_algorithms() -> list[str]:

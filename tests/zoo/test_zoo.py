@@ -89,6 +89,8 @@ MISTAKES = {
     "-params learning_rate:1/0": "division by zero",
     "-params learning_rate:float('nan')": "learning_rate is nan",
     "-params group_size:1": "group_size is 1, but must be at least 2",
+    "--physics wide": "--physics is an argument of the env here: --env-kwargs \"physics:'wide'\".",
+    "--reflex 30": '--env-kwargs "reflex:30"',
     "--env-kwargs foo:1": "unexpected keyword argument 'foo'",
 }
 
