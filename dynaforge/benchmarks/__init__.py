@@ -1,1 +1,1 @@
-"""The figures of speed, exactness and limits that `dynaforge bench` measures."""
+"""The figures of speed, exactness, limits and forces that `dynaforge bench` measures."""

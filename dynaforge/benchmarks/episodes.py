@@ -65,6 +65,15 @@ def seeded_actions(space: gym.Space[Any], condition: Condition) -> NDArray[np.fl
     return np.random.default_rng(condition.seed).uniform(-1, 1, shape).astype(np.float32)
 
 
+def run_seeded(env: gym.Env[Any, Any], condition: Condition) -> None:
+    """Run an episode with the random residuals that belong to its condition (`seeded_actions`)."""
+    env.reset(options={"condition": condition})
+    for action in seeded_actions(env.action_space, condition):
+        _, _, done, _, _ = env.step(action)
+        if done:
+            break
+
+
 class TrajectoryHash:
     """A listener of `World` that hashes the measured scene and the joint reference after every control step."""
 
@@ -164,11 +173,7 @@ def _simulate_history(env: HashingEnv, history: str, condition: Condition) -> No
 
 
 def _run_seeded(env: HashingEnv, condition: Condition) -> str:
-    env.reset(options={"condition": condition})
-    for action in seeded_actions(env.action_space, condition):
-        _, _, done, _, _ = env.step(action)
-        if done:
-            break
+    run_seeded(env, condition)
     return env.trajectory_hash()
 
 

@@ -1,92 +1,88 @@
-"""Figures of limits: finger speed in physics, and the trajectories of the global planner."""
+"""Figures of limits: joint speeds in episodes, and the trajectories of the global planner."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from dynaforge.benchmarks.episodes import bench_conditions, run_planner_only
+from dynaforge.benchmarks.episodes import bench_conditions, run_planner_only, run_seeded, run_zero_residual
 from dynaforge.benchmarks.figure import Figure, tracked
 from dynaforge.envs.executor import PhaseExecutor
+from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import World
 from dynaforge.geometry import Array, JointState, JointTrajectory, Pose, matrix_from_rotvec
-from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, LocalPlanner, Obstacle, PlanFailure
-from dynaforge.sim import SimScene
+from dynaforge.planning import ArmKinematics, CollisionModel, GlobalPlanner, Obstacle, PlanFailure
 from dynaforge.sim.robot import RobotDescription
 from dynaforge.tasks import Task
 from dynaforge.tasks.targets import DOWN_ALONG_X
 
 COLLISION_CHECK_SPACING = 0.004  # radians of the fastest joint; the planner itself checks every 0.015
 ROUNDING = 1e-9
-STROKE_SECONDS = 1.2  # a full stroke, 40 mm per finger at 50 mm/s, takes 0.8 s
 OBSTACLES = (
     Obstacle("post", "cylinder", (0.04, 0.5), Pose(np.eye(3), np.array((0.45, 0.22, 0.25)))),
     Obstacle("shelf", "box", (0.3, 0.3, 0.03), Pose(np.eye(3), np.array((0.5, -0.3, 0.4)))),
 )
 
 
-def finger_speed(task: Task) -> list[Figure]:
-    """Measure the speed of each finger at every substep of full strokes.
+def speed_limits(task: Task, *, n: int = 20) -> list[Figure]:
+    """Check every joint reference of episodes against the speed limits, which depend on position.
 
-    The opening is commanded at once, and ramped as the local planner does. Speed is the larger of the joint velocity
-    and the change of joint position per substep.
+    Each condition is run with residual 0 and with random residuals. The velocity of a reference is checked where the
+    reference is, and the mean velocity of a control step at the middle of it.
+
+    Args:
+        task: The task.
+        n: Number of conditions, spread over the difficulty range.
     """
-    spec = task.scene
-    scene = SimScene(
-        replace(spec, control_dt=spec.physics_dt)
-    )  # one control step is one substep, so that every substep is observed
-    condition = bench_conditions(task, 1)[0]
-    speeds: dict[str, float] = {}
-    widths: dict[str, list[float]] = {}
-    for name in ("at once", "ramped"):
-        scene.reset(condition)
-        fastest, ends = 0.0, list[float]()
-        for wanted in (0.0, scene.robot.width_max):
-            speed, width = _stroke(scene, _openings(scene, task, wanted, ramped=name == "ramped"))
-            fastest, ends = max(fastest, speed), [*ends, width]
-        speeds[name], widths[name] = fastest, ends
-    scene.close()
-    limit, full = scene.robot.finger_speed_max, scene.robot.width_max
-    travelled = all(closed < 0.05 * full and opened > 0.95 * full for closed, opened in widths.values())
-    measured = ", ".join(f"{1e3 * speed:.2f} mm/s {name}" for name, speed in speeds.items())
+    env = ResidualEnv(task)
+    robot, dt = env.world.scene.robot, task.scene.control_dt
+    runs = {"residual 0": run_zero_residual, "random residuals": run_seeded}
+    shares: dict[str, list[float]] = {name: [] for name in runs}
+    for condition in tracked(bench_conditions(task, n), "speed limits", total=n):
+        for name, run in runs.items():
+            joints = [JointState.at_rest(robot.q_ready)]
+            with env.world.listening(lambda step, kept=joints: kept.append(step.reference.joints)):  # type: ignore[misc]
+                run(env, condition)
+            q, dq = np.array([state.q for state in joints]), np.array([state.dq for state in joints])
+            shares[name] += reference_shares(q, dq, robot, dt=dt).tolist()
+    env.close()
+    every = np.concatenate(list(shares.values()))
+    over = int((every > 1.0 + ROUNDING).sum())
     return [
         Figure(
-            title="finger speed, every substep of close and open",
-            target=f"<= {1e3 * limit:.0f} mm/s",
-            measured=measured if travelled else f"{measured}; the stroke was not full",
-            ok=travelled and max(speeds.values()) <= limit,
-            raw={"metres_per_second": speeds, "width_after_close_and_open": widths},
+            title="control steps beyond the joint speed limits",
+            target="0 %",
+            measured=f"{100 * over / len(every):.2g} % of {len(every)}; fastest {every.max():.4f} of the limit",
+            ok=not over,
+            raw={name: {"control_steps": len(part), "most_share": max(part)} for name, part in shares.items()},
         )
     ]
 
 
-def _openings(scene: SimScene, task: Task, wanted: float, *, ramped: bool) -> Iterator[float]:
-    """Yield the commanded opening, metres, for every substep of a stroke."""
-    spec, robot = task.scene, scene.robot
-    local = LocalPlanner(robot, ArmKinematics(robot), dt=spec.control_dt)
-    local.reset(robot.q_ready, robot.width_max - wanted)
-    for _ in range(round(STROKE_SECONDS / spec.control_dt)):
-        width = local.to_joints(robot.q_ready, wanted).width if ramped else wanted
-        for _ in range(spec.substeps):
-            yield width
+def reference_shares(q: Array, dq: Array, robot: RobotDescription, *, dt: float) -> Array:
+    """Return the largest share of a speed limit that a joint uses in each control step, shape (n,).
+
+    Args:
+        q: Joint positions at the beginning and at the end of each step, radians, shape (n + 1, 7).
+        dq: Joint velocities there, rad/s, shape (n + 1, 7).
+        robot: The limits.
+        dt: Duration of a control step, seconds.
+    """
+    mean = speed_shares((q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / dt, robot)
+    return np.maximum(mean, speed_shares(q[1:], dq[1:], robot))
 
 
-def _stroke(scene: SimScene, openings: Iterator[float]) -> tuple[float, float]:
-    """Command the openings; return the highest speed of a finger (m/s) and the opening at the end (m)."""
-    before, _ = scene.fingers()
-    fastest, width = 0.0, 0.0
-    for opening in openings:
-        width = scene.step(scene.robot.q_ready, opening).width
-        after, speeds = scene.fingers()
-        moved = np.abs(after - before) / scene.spec.physics_dt
-        fastest = max(fastest, float(moved.max()), float(np.abs(speeds).max()))
-        before = after
-    return fastest, width
+def speed_shares(q: Array, dq: Array, robot: RobotDescription) -> Array:
+    """Return the largest share of the velocity limits at positions q (n, 7) that velocities dq (n, 7) use, (n,)."""
+    lower, upper = robot.speed_limits(q)
+    limit = np.where(dq > 0.0, upper, -lower)
+    shares: Array = (np.abs(dq) / np.maximum(limit, ROUNDING)).max(axis=1)
+    return shares
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,18 +125,16 @@ def limit_use(trajectory: JointTrajectory, robot: RobotDescription, collision: C
     first_free = hits.index(False) if hits[0] and False in hits else 0
     return LimitUse(
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
-        velocity=max(_speed_share(q, dq, robot), _speed_share((q[:-1] + q[1:]) / 2, slopes, robot)),
+        velocity=float(
+            max(
+                speed_shares(q, dq, robot).max(),
+                speed_shares((q[:-1] + q[1:]) / 2, slopes, robot).max(initial=0.0),
+            )
+        ),
         acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),
         collisions=sum(hits[first_free:]),
         started_in_collision=hits[0],
     )
-
-
-def _speed_share(q: Array, dq: Array, robot: RobotDescription) -> float:
-    """Return the largest share of the velocity limits at positions q (n, 7) that velocities dq (n, 7) use."""
-    lower, upper = robot.speed_limits(q)
-    limit = np.where(dq > 0.0, upper, -lower)
-    return float((np.abs(dq) / np.maximum(limit, ROUNDING)).max(initial=0.0))
 
 
 def _densely_sampled(q: Array) -> Iterator[Array]:

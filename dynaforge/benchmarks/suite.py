@@ -24,7 +24,11 @@ def _of(module: str) -> Any:
 
 
 MEASUREMENTS: dict[str, Measurement] = {
-    "finger-speed": lambda task, rounds: _of("limits").finger_speed(task),
+    "finger-speed": lambda task, rounds: _of("hand").finger_speed(task),
+    "hand": lambda task, rounds: _of("hand").hand(task),
+    "peak-force": lambda task, rounds: _of("forces").peak_force(task),
+    "reflex": lambda task, rounds: _of("forces").reflex(task, rounds=rounds),
+    "speed-limits": lambda task, rounds: _of("limits").speed_limits(task),
     "zero-residual": lambda task, rounds: _of("determinism").zero_residual(task),
     "one-trajectory": lambda task, rounds: _of("determinism").one_trajectory(task),
     "reset": lambda task, rounds: _of("speed").scene_reset(task, rounds=rounds),

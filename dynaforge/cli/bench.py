@@ -1,4 +1,4 @@
-"""`dynaforge bench`: the project's figures of speed, determinism and limits, measured on this machine."""
+"""`dynaforge bench`: the project's figures of speed, determinism, limits and forces, measured on this machine."""
 
 from __future__ import annotations
 

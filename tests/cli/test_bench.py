@@ -7,6 +7,8 @@ import pytest
 
 from dynaforge.benchmarks import data as bench_data
 from dynaforge.benchmarks import determinism as bench_determinism
+from dynaforge.benchmarks import forces as bench_forces
+from dynaforge.benchmarks import hand as bench_hand
 from dynaforge.benchmarks import limits as bench_limits
 from dynaforge.benchmarks import prefix as bench_prefix
 from dynaforge.benchmarks import speed as bench_speed
@@ -88,7 +90,11 @@ def test_a_record_that_cannot_be_written_is_refused_before_anything_is_measured(
 
 
 QUICK = {
-    "finger-speed": lambda task: bench_limits.finger_speed(task),
+    "finger-speed": lambda task: bench_hand.finger_speed(task),
+    "hand": lambda task: bench_hand.hand(task, n=2),
+    "peak-force": lambda task: bench_forces.peak_force(task, n=2),
+    "reflex": lambda task: bench_forces.reflex(task, rounds=1, n=2),
+    "speed-limits": lambda task: bench_limits.speed_limits(task, n=2),
     "zero-residual": lambda task: bench_determinism.zero_residual(task, n=2),
     "one-trajectory": lambda task: bench_determinism.one_trajectory(task, n=1, sizes=(2,)),
     "reset": lambda task: bench_speed.scene_reset(task, rounds=1, n=2),
@@ -104,7 +110,14 @@ QUICK = {
     "global-plans": lambda task: bench_speed.global_plans(task, n=2),
     "global-planner": lambda task: bench_limits.global_planner(task, n=2),
 }
-EXACT = ("zero-residual", "one-trajectory", "replay")  # whatever else runs on this machine
+EXACT = (
+    "zero-residual",
+    "one-trajectory",
+    "replay",
+    "hand",
+    "peak-force",
+    "speed-limits",
+)  # whatever else runs on this machine
 
 
 @pytest.mark.slow

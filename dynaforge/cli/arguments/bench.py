@@ -35,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 COMMAND = Command(
-    text="the project's figures: speed, determinism, limits",
+    text="the project's figures: speed, determinism, limits, forces",
     examples=("bench", "bench --only reset control-steps --rounds 9 --out results/bench.json"),
     add=add,
 )
