@@ -10,7 +10,7 @@ from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, task_table
-from dynaforge.generators import Generator
+from dynaforge.generators import Generator, ResidualGenerator
 from dynaforge.generators.by_name import make_generator, setting_line
 from dynaforge.generators.measure import measure
 from dynaforge.reports.evaluation import BINS, gains_over_first, reports_of, write_evaluation, write_task_table
@@ -40,7 +40,15 @@ def run(options: argparse.Namespace) -> int:
         for report in reports:
             print(report.table())
         path = out if len(tasks) == 1 else out.with_stem(f"{out.stem}-{task.name}")
-        write_evaluation(path, task, measured, reports=reports, gains=gains, command=options.command)
+        write_evaluation(
+            path,
+            task,
+            measured,
+            reports=reports,
+            gains=gains,
+            policies={g.name: g.policy_origin for g in generators if isinstance(g, ResidualGenerator)},
+            command=options.command,
+        )
         print(f"written to {path}")
         table[task.name] = reports
     if len(tasks) > 1:

@@ -82,6 +82,12 @@ class ResidualGenerator:
         self.name = name
         self.trained_under = trained_under
 
+    @property
+    def policy_origin(self) -> dict[str, Any]:
+        """Which policy this is, as plain data: its digest, and the setting that it was trained under where known."""
+        setting = None if self.trained_under is None else self.trained_under.to_dict()
+        return {"policy": self.policy_hash, "trained_under": setting}
+
     def attempt(self, env: ResidualEnv, condition: Condition) -> Episode:
         """Run one episode under a condition and record it, Eq. 1."""
         recorder = Recorder(env.task, env.world.kinematics)

@@ -17,6 +17,7 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 from dynaforge.sim.reflex import named_within
 from dynaforge.tasks import Task
+from dynaforge.tasks.digest import definition_of
 
 BINS = 8
 """Number of difficulty bins in which success is reported."""
@@ -101,6 +102,7 @@ def write_evaluation(
     *,
     reports: Sequence[DgrReport],
     gains: Sequence[Gain],
+    policies: Mapping[str, Mapping[str, Any]],
     command: str,
 ) -> None:
     """Write what was measured on one task, every outcome included, as JSON.
@@ -111,12 +113,14 @@ def write_evaluation(
         measured: The attempts of every generator.
         reports: What `reports_of` makes of them.
         gains: Those of the generators after the first.
+        policies: Of every generator with a policy, what tells which it is, as plain data.
         command: The command that measured it.
     """
     conditions = next(iter(measured.values()))
     data = {
         "task": task.name,
-        "setting": task.setting.to_dict(),
+        **definition_of(task),
+        "policies": policies,
         "reports": [report.to_dict() for report in reports],
         "gains": {gain.generator: gain.to_dict() for gain in gains},
         "conditions": [

@@ -71,6 +71,9 @@ def test_a_policy_is_tried_under_another_setting_where_that_is_chosen(tmp_path: 
         "trained under reflex contact, physics varied, sensing ideal; "
         "run under reflex strict, physics wide:hand_delay, sensing ideal"
     )
+    for generator in generators[1:]:
+        assert generator.policy_origin["trained_under"] == CAN.setting.to_dict()
+        assert generator.policy_origin["policy"] == MlpPolicyFile.load(path).digest
     assert setting_line(held_out, generators[:1]) == "reflex strict, physics wide:hand_delay, sensing ideal"
     same = [make_generator("residual", CAN, policy=path)]
     assert setting_line(CAN, same) == "reflex contact, physics varied, sensing ideal"
