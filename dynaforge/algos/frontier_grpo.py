@@ -32,6 +32,7 @@ from dynaforge.algos.options import (
 )
 from dynaforge.algos.policies import POLICY_ALIASES
 from dynaforge.algos.resumable import ResumableAlgorithm
+from dynaforge.algos.rim import has_rim
 from dynaforge.algos.stopwatch import Stopwatch
 from dynaforge.algos.success_signal import warn_of_unknown_success
 from dynaforge.geometry import Array
@@ -79,6 +80,7 @@ class FrontierGRPO(ResumableAlgorithm):
         kl_coef: Weight of KL(old || new), old being the policy at the update's start.
         anchor_coef: Weight of KL(old || new) on groups that succeeded throughout. The filter drops them, so that
             nothing else keeps the policy as it is there; not in the paper, where it is 0.
+        rim_coef: Weight of a penalty on means outside the action box, see `rim_penalty`. Not in the paper: 0.
         target_kl: Ends an update whose approximate KL exceeds 1.5 times this.
         desired_kl: The rate follows the KL of the updates: after one of more than twice this it falls by 1.5, after one
             of less than half it rises by 1.5, at most to what `learning_rate` says. Not in the paper: None.
@@ -92,7 +94,7 @@ class FrontierGRPO(ResumableAlgorithm):
         sde_sample_freq: Renew all noise matrices every so many steps; -1 renews them once per episode.
         stats_window_size: Episodes in the means under rollout/.
         tensorboard_log: Folder for TensorBoard, or None.
-        policy_kwargs: See `CriticFreePolicy`: net_arch, log_std_init (default log 0.3), learn_std, ...
+        policy_kwargs: See `CriticFreePolicy`: net_arch, log_std_init (default log 0.3), learn_std, squash_mean, ...
         verbose: 0 silent, 1 info, 2 debug.
         seed: Of conditions, minibatch order, initial weights and exploration.
         device: "cpu", "cuda" or "auto".
@@ -137,6 +139,7 @@ class FrontierGRPO(ResumableAlgorithm):
         loss_agg: LossAggregation = "step",
         kl_coef: float = 0.0,
         anchor_coef: float = 0.0,
+        rim_coef: float = 0.0,
         target_kl: float | None = None,
         desired_kl: float | None = None,
         max_grad_norm: float = 0.5,
@@ -179,7 +182,8 @@ class FrontierGRPO(ResumableAlgorithm):
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
         self.stratum_weights = stratum_weights
         self.scale_advantage, self.scale_learning_rate, self.loss_agg = scale_advantage, scale_learning_rate, loss_agg
-        self.kl_coef, self.anchor_coef, self.target_kl, self.desired_kl = kl_coef, anchor_coef, target_kl, desired_kl
+        self.kl_coef, self.anchor_coef, self.rim_coef = kl_coef, anchor_coef, rim_coef
+        self.target_kl, self.desired_kl = target_kl, desired_kl
         self.max_episode_steps, self.timesteps, self.resample_max = max_episode_steps, timesteps, resample_max
         self._seed_generators(seed)
         self._start_counting()
@@ -206,6 +210,8 @@ class FrontierGRPO(ResumableAlgorithm):
         self.stratum_record = fitting_record(self)
         self.n_steps = self.n_groups * self.group_size
         super()._setup_model()
+        if self.rim_coef and not has_rim(self.policy):
+            raise ValueError(f"rim_coef needs a bounded Box and no squash_output; given {self.action_space}.")
         high = self.clip_range if self.clip_range_high is None else self.clip_range_high
         self.clip_range, self.clip_range_high = FloatSchedule(self.clip_range), FloatSchedule(high)
 

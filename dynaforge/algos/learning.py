@@ -12,6 +12,7 @@ from dynaforge.algos.adaptive_rate import followed
 from dynaforge.algos.advantages import group_advantages
 from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.group_results import GroupResults
+from dynaforge.algos.rim import has_rim, rim_fraction
 from dynaforge.algos.update import UpdateReport, UpdateSettings, update_policy
 from dynaforge.geometry import Array
 from dynaforge.sampling.frontier_strata import StratumRecord
@@ -30,6 +31,7 @@ def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, Upda
     # Eq. 8 comes before Eq. 7: with scale_advantage="batch" the deviation is then that of the groups that take part,
     # and does not shrink when many others earn equal returns throughout.
     keep = results.kept(model.group_filter)
+    _log_rim(model, results)
     advantages = np.zeros_like(results.returns)
     success = None if results.success is None else results.success[keep]
     advantages[keep] = group_advantages(results.returns[keep], scale=model.scale_advantage, success=success)
@@ -92,6 +94,15 @@ def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
         model.rate_factor = float(state["rate_factor"][0])
     if model.stratum_record is not None:
         model.stratum_record = StratumRecord(*(np.array(state[name]) for name in ("wins", "losses", "waits")))
+
+
+def _log_rim(model: Any, results: GroupResults) -> None:
+    """Record the share of the iteration's decisions whose mean was at the rim of the action box."""
+    if has_rim(model.policy):
+        decisions = model.rollout_buffer.keep(
+            np.ones(len(results.returns), dtype=bool), np.zeros(results.returns.shape)
+        )
+        model.logger.record("train/rim_fraction", rim_fraction(model.policy, decisions, model.batch_size))
 
 
 def _anchors(model: Any, results: GroupResults, keep: NDArray[np.bool_]) -> KeptTransitions | None:

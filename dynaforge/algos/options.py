@@ -36,7 +36,7 @@ WHOLE_NUMBERS = (
     ("sde_sample_freq", -1, "-1 is once an episode"),
     ("_stats_window_size", 1, "means are taken over that many episodes"),
 )
-WEIGHTS = ("kl_coef", "anchor_coef")
+WEIGHTS = ("kl_coef", "anchor_coef", "rim_coef")
 OPTIONAL = ("batch_size", "max_episode_steps")
 
 

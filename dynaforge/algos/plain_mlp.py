@@ -31,7 +31,7 @@ def plain_mlp(model: BaseAlgorithm) -> tuple[Layers, str]:
     if reason := _beyond_a_plain_mlp(model, policy):
         raise ValueError(f"Only a plain MLP policy can be written as a policy file; {reason}.")
     hidden = list(policy.mlp_extractor.policy_net)
-    linear = [module for module in [*hidden, policy.action_net] if isinstance(module, nn.Linear)]
+    linear = [module for module in [*hidden, _last_linear(policy)] if isinstance(module, nn.Linear)]
     layers = [(_array(module.weight), _array(module.bias)) for module in linear]
     kinds = {type(module).__name__ for module in hidden if not isinstance(module, nn.Linear)}
     return layers, kinds.pop() if kinds else "Tanh"
@@ -64,11 +64,21 @@ def _beyond_a_plain_mlp(model: BaseAlgorithm, policy: ActorCriticPolicy) -> str:
     shape = [isinstance(module, nn.Linear) for module in hidden]
     if shape != [k % 2 == 0 for k in range(len(hidden))] or len(kinds) > 1:
         return f"this one's layers are {', '.join(type(module).__name__ for module in hidden)}"
-    if not isinstance(policy.action_net, nn.Linear):
+    if not isinstance(_last_linear(policy), nn.Linear):
         return f"this one's last layer is {type(policy.action_net).__name__}"
     if not kinds <= {nn.Tanh, nn.ReLU}:
         return f"this one's activation is {kinds.pop().__name__}; Tanh and ReLU are supported"
     return ""
+
+
+def squashes_mean(model: BaseAlgorithm) -> bool:
+    """Return whether a model's policy bounds its mean by a tanh, the one thing besides layers that a file can hold."""
+    return isinstance(model.policy, CriticFreePolicy) and model.policy.squash_mean
+
+
+def _last_linear(policy: ActorCriticPolicy) -> nn.Module:
+    squashed = isinstance(policy, CriticFreePolicy) and policy.squash_mean
+    return policy.action_net[0] if squashed else policy.action_net  # type: ignore[index]
 
 
 def _changing_wrapper(model: BaseAlgorithm) -> str:

@@ -14,6 +14,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, Combine
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 
+from dynaforge.algos.rim import WithinBox
+
 DEFAULT_SIGMA = 0.3
 DEFAULT_NET_ARCH = (128, 128)
 
@@ -33,6 +35,8 @@ class CriticFreePolicy(ActorCriticPolicy):
         log_std_init: Logarithm of sigma, default log 0.3 of the action's unit. With gSDE the default is lowered by
             the square root of the latent width, so that latents of unit size give noise of that sigma.
         learn_std: Train sigma together with the mean.
+        squash_mean: Keep the mean within the action box by a tanh. The noise is added outside of it, so that what is
+            sampled may still leave the box, and is clipped as always; SB3's `squash_output` squashes mean and noise.
         features_extractor_class: As in SB3.
         kwargs: All other arguments of `ActorCriticPolicy`.
     """
@@ -46,10 +50,15 @@ class CriticFreePolicy(ActorCriticPolicy):
         *,
         log_std_init: float | None = None,
         learn_std: bool = False,
+        squash_mean: bool = False,
         features_extractor_class: type[BaseFeaturesExtractor] = FlattenExtractor,
         **kwargs: Any,
     ) -> None:
-        self.learn_std = learn_std
+        self.learn_std, self.squash_mean = learn_std, squash_mean
+        if squash_mean and not (isinstance(action_space, spaces.Box) and action_space.is_bounded()):
+            raise ValueError(f"squash_mean needs a bounded Box of actions; given {action_space}.")
+        if squash_mean and kwargs.get("squash_output"):
+            raise ValueError("squash_mean and squash_output exclude each other: one of them bounds the mean.")
         layers = _policy_layers(net_arch, features_extractor_class)
         if log_std_init is None:
             log_std_init = math.log(DEFAULT_SIGMA)
@@ -74,6 +83,9 @@ class CriticFreePolicy(ActorCriticPolicy):
         # A mean of zero: the first rollouts explore around the planner, not around a random correction of it.
         nn.init.zeros_(self.action_net.weight)
         nn.init.zeros_(self.action_net.bias)
+        if self.squash_mean:
+            assert isinstance(self.action_space, spaces.Box)
+            self.action_net = nn.Sequential(self.action_net, WithinBox(self.action_space))
         if hasattr(self, "log_std"):
             self.log_std.requires_grad_(self.learn_std)
         # Built again: SB3's has every parameter, a fixed sigma and the deleted value head among them.
@@ -81,7 +93,7 @@ class CriticFreePolicy(ActorCriticPolicy):
         self.optimizer = self.optimizer_class(trained, lr=lr_schedule(1), **self.optimizer_kwargs)  # type: ignore[call-arg]
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | {"learn_std": self.learn_std}
+        return super()._get_constructor_parameters() | {"learn_std": self.learn_std, "squash_mean": self.squash_mean}
 
     def forward(self, obs: PyTorchObs, deterministic: bool = False) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
         """Return actions, values (zeros: there is no critic) and log-probabilities."""

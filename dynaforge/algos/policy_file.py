@@ -46,6 +46,8 @@ class MlpPolicyFile:
     `load` and `of` check what they return: finite weights, layers that chain, sizes that fit the task.
 
     Attributes:
+        activation: Name of the activation between layers.
+        squash_mean: Whether a tanh bounds what the last layer gives, in place of clipping.
         task: Name of the task it was trained on.
         meta: Plain JSON data kept with it: digest and setting of the task it is for, how it was trained, versions.
         digest: SHA-256 over task and weights: names the policy in every episode it makes.
@@ -58,11 +60,12 @@ class MlpPolicyFile:
         *,
         task: str,
         meta: Mapping[str, Any] | None = None,
+        squash_mean: bool = False,
     ) -> None:
         if activation not in _ACTIVATIONS:
             raise ValueError(f"Activation {activation!r} is not supported; known are {', '.join(_ACTIVATIONS)}.")
         self._layers = layers
-        self.activation = activation
+        self.activation, self.squash_mean = activation, squash_mean
         self.task = task
         self.meta = dict(meta or {})
 
@@ -72,12 +75,13 @@ class MlpPolicyFile:
         for weight, bias in self._layers[:-1]:
             x = nonlinearity(weight @ x + bias)
         weight, bias = self._layers[-1]
-        return np.clip(weight @ x + bias, -1.0, 1.0)
+        mean = weight @ x + bias
+        return np.asarray(np.tanh(mean)) if self.squash_mean else np.clip(mean, -1.0, 1.0)
 
     @property
     def digest(self) -> str:
         """Name of the policy: equal policies have equal digests."""
-        digest = hashlib.sha256(f"{self.task} {self.activation}".encode())
+        digest = hashlib.sha256(f"{self.task} {self.activation}{' squashed' * self.squash_mean}".encode())
         for weight, bias in self._layers:
             digest.update(weight.tobytes() + bias.tobytes())
         return digest.hexdigest()[:16]
@@ -99,7 +103,7 @@ class MlpPolicyFile:
             ValueError: Unknown task, sizes that do not fit it, or a policy of which the file would not hold all:
                 anything but a plain MLP from a flat observation to an action in [-1, 1].
         """
-        from dynaforge.algos.plain_mlp import plain_mlp
+        from dynaforge.algos.plain_mlp import plain_mlp, squashes_mean
 
         name = _name_of(task)
         layers, activation = plain_mlp(model)
@@ -107,11 +111,14 @@ class MlpPolicyFile:
             raise ValueError(f"The policy cannot be written as a policy file: {fault}.")
         env_class, arguments = _env_of(name)
         definition = env_class.definition(**arguments | ({} if isinstance(task, str) else {"task": task}))
-        return MlpPolicyFile(layers, activation, task=name, meta=dict(meta or {}) | definition)
+        kept = {**(meta or {}), **definition}
+        return MlpPolicyFile(layers, activation, task=name, meta=kept, squash_mean=squashes_mean(model))
 
     def save(self, path: str | Path) -> None:
         """Write the policy, replacing the file as a whole or not at all."""
-        header = {"format": FORMAT, "task": self.task, "activation": self.activation, "meta": self.meta}
+        header: dict[str, Any] = {"format": FORMAT, "task": self.task, "activation": self.activation, "meta": self.meta}
+        if self.squash_mean:  # left out otherwise, as in the files of before
+            header["squash_mean"] = True
         tensors: dict[str, NDArray[np.float32]] = {}
         for k, (weight, bias) in enumerate(self._layers):
             tensors |= {f"{k}.weight": weight, f"{k}.bias": bias}
@@ -171,7 +178,10 @@ def _read(path: str | Path) -> MlpPolicyFile:
     layers = [(tensors[weight], tensors[bias]) for weight, bias in zip(names[::2], names[1::2], strict=True)]
     if fault := _fault_of(layers):
         raise ValueError(fault)
-    return MlpPolicyFile(layers, header["activation"], task=header["task"], meta=header["meta"])
+    squash = header.get("squash_mean", False)
+    if not isinstance(squash, bool):
+        raise ValueError(f"squash_mean in its header is {squash!r:.80}, expected true or false")
+    return MlpPolicyFile(layers, header["activation"], task=header["task"], meta=header["meta"], squash_mean=squash)
 
 
 def _fault_of(layers: Layers) -> str:

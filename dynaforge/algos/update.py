@@ -15,6 +15,7 @@ from stable_baselines3.common.utils import update_learning_rate
 from dynaforge.algos.advantages import clipped_surrogate, estimated_kl
 from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.options import scheduled
+from dynaforge.algos.rim import rim_penalty
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +29,7 @@ class UpdateSettings:
     clip_high: float
     kl_coef: float
     anchor_coef: float
+    rim_coef: float
     target_kl: float | None
     max_grad_norm: float
 
@@ -49,6 +51,7 @@ class UpdateSettings:
             clip_high=scheduled("clip_range_high", model.clip_range_high, progress),
             kl_coef=model.kl_coef,
             anchor_coef=model.anchor_coef,
+            rim_coef=model.rim_coef,
             target_kl=model.target_kl,
             max_grad_norm=model.max_grad_norm,
         )
@@ -157,7 +160,8 @@ def _loss(
     policy: ActorCriticPolicy, batch: KeptTransitions, settings: UpdateSettings, normaliser: float
 ) -> tuple[th.Tensor, th.Tensor]:
     """Return the loss of a minibatch and its figures: loss, surrogate, approximate KL, clip fraction."""
-    log_prob = policy.get_distribution(batch.observations).log_prob(batch.actions)
+    distribution = policy.get_distribution(batch.observations)
+    log_prob = distribution.log_prob(batch.actions)
     losses = clipped_surrogate(
         log_prob, batch.log_probs, batch.advantages, clip_low=settings.clip_low, clip_high=settings.clip_high
     )
@@ -171,6 +175,9 @@ def _loss(
         loss = surrogate + settings.kl_coef * (batch.weights * kl).sum() / normaliser
     else:
         loss = surrogate
+    if settings.rim_coef > 0.0:
+        outside_box = rim_penalty(distribution, policy.action_space)
+        loss = loss + settings.rim_coef * (batch.weights * outside_box).sum() / normaliser
     with th.no_grad():
         ratio = (log_prob - batch.log_probs).exp()
         outside = ((ratio < 1.0 - settings.clip_low) | (ratio > 1.0 + settings.clip_high)).float().mean()

@@ -49,7 +49,7 @@ class SizedAsCan(gym.Env):
 def trained(model: Any) -> Any:
     """Give every layer weights of some size, as training would."""
     with th.no_grad():
-        model.policy.action_net.weight.normal_(generator=th.Generator().manual_seed(1))
+        next(model.policy.action_net.parameters()).normal_(generator=th.Generator().manual_seed(1))
     return model
 
 
@@ -68,6 +68,7 @@ def observations(n: int = 20) -> np.ndarray:
         (FrontierGRPO, {}),
         (FrontierGRPO, {"use_sde": True}),
         (FrontierGRPO, {"policy_kwargs": {"net_arch": []}}),
+        (FrontierGRPO, {"policy_kwargs": {"squash_mean": True}}),
         (PPO, {"policy_kwargs": {"activation_fn": th.nn.ReLU}}),
         (PPO, {"use_sde": True, "policy_kwargs": {"net_arch": [16, 16, 16], "share_features_extractor": False}}),
     ],
@@ -78,6 +79,21 @@ def test_policy_file_acts_as_the_model_does_without_exploration(algorithm, optio
     for observation in observations():
         expected, _ = model.predict(observation, deterministic=True)
         np.testing.assert_allclose(policy(observation), expected, atol=1e-5)
+
+
+def test_a_file_knows_whether_its_mean_is_squashed(tmp_path: Path) -> None:
+    plain, squashed = (
+        MlpPolicyFile.of(
+            trained(FrontierGRPO("MlpPolicy", SizedAsCan(), seed=0, policy_kwargs={"squash_mean": squash})), task="can"
+        )
+        for squash in (False, True)
+    )
+    assert plain.digest != squashed.digest
+    for policy in (plain, squashed):
+        policy.save(tmp_path / "p")
+        loaded = MlpPolicyFile.load(tmp_path / "p")
+        assert (loaded.digest, loaded.squash_mean) == (policy.digest, policy.squash_mean)
+        np.testing.assert_array_equal(loaded(observations()[0]), policy(observations()[0]))
 
 
 class OwnExtractor(BaseFeaturesExtractor):

@@ -47,6 +47,7 @@ def settings(**changes: float) -> UpdateSettings:
         clip_high=0.28,
         kl_coef=0.0,
         anchor_coef=0.0,
+        rim_coef=0.0,
         target_kl=None,
         max_grad_norm=0.5,
     )
