@@ -73,16 +73,8 @@ def reference_shares(q: Array, dq: Array, robot: RobotDescription, *, dt: float)
         robot: The limits.
         dt: Duration of a control step, seconds.
     """
-    mean = speed_shares((q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / dt, robot)
-    return np.maximum(mean, speed_shares(q[1:], dq[1:], robot))
-
-
-def speed_shares(q: Array, dq: Array, robot: RobotDescription) -> Array:
-    """Return the largest share of the velocity limits at positions q (n, 7) that velocities dq (n, 7) use, (n,)."""
-    lower, upper = robot.speed_limits(q)
-    limit = np.where(dq > 0.0, upper, -lower)
-    shares: Array = (np.abs(dq) / np.maximum(limit, ROUNDING)).max(axis=1)
-    return shares
+    mean = robot.speed_limits.share((q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / dt)
+    return np.maximum(mean, robot.speed_limits.share(q[1:], dq[1:]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,8 +119,8 @@ def limit_use(trajectory: JointTrajectory, robot: RobotDescription, collision: C
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
         velocity=float(
             max(
-                speed_shares(q, dq, robot).max(),
-                speed_shares((q[:-1] + q[1:]) / 2, slopes, robot).max(initial=0.0),
+                robot.speed_limits.share(q, dq).max(),
+                robot.speed_limits.share((q[:-1] + q[1:]) / 2, slopes).max(initial=0.0),
             )
         ),
         acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),

@@ -110,7 +110,7 @@ def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
         beyond = np.maximum(robot.q_lower - q, q - robot.q_upper).max(axis=1)
         yield from _flag(beyond > POSITION_TOLERANCE, "a joint is {:.3f} rad beyond its limit", beyond)
     if "dq" in steps:
-        share = (np.abs(steps["dq"]) / robot.dq_max).max(axis=1)
+        share = (np.abs(steps["dq"]) / robot.dq_max).max(axis=1)  # as the robot's own stop: `stop_speed` says why
         yield from _flag(share > robot.stop_speed, "a joint moves at {:.2f} of its speed limit", share)
     if "width" in steps and "ee_position" in steps:
         speed = np.abs(np.diff(steps["width"])) / dt[:, 0]
@@ -118,8 +118,9 @@ def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
         yield from _flag(too_fast, "the hand opens or closes at {:.3f} m/s", speed)
     if "joint_velocity_reference" in steps:
         velocity = steps["joint_velocity_reference"]
-        share = (np.abs(velocity) / robot.dq_max).max(axis=1)
-        yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its speed limit", share)
+        if "joint_reference" in steps:
+            share = robot.speed_limits.share(steps["joint_reference"], velocity)
+            yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its speed limit there", share)
         acceleration = np.diff(velocity, axis=0) / dt
         share = (np.abs(acceleration) / robot.ddq_max).max(axis=1)
         yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its acceleration limit", share)
@@ -128,7 +129,7 @@ def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
 
 
 def _hand_alone(episode: Episode) -> NDArray[np.bool_]:
-    """Return between which steps nothing can have pushed the fingers, which give way under load."""
+    """Return between which steps nothing can have struck the fingers, which a blow moves for a substep."""
     return _far_from(episode, episode.steps["ee_position"], ("object", "fixture"))
 
 

@@ -10,6 +10,8 @@ import numpy as np
 from dynaforge.geometry import Array, one_line
 from dynaforge.sim.checks import check_number, finite_array, quoted
 
+LEAST_LIMIT = 1e-9  # rad/s; shares of a limit of 0 are taken of this instead
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeedLimits:
@@ -53,6 +55,18 @@ class SpeedLimits:
         roots = np.sqrt(np.maximum(slope * q[..., None, :] + intercept, 0.0))
         speeds = np.minimum(np.maximum(roots - self.offset, 0.0), self.cap)
         return -speeds[..., 0, :], speeds[..., 1, :]
+
+    def share(self, q: Array, dq: Array) -> Array:
+        """Return the largest share of its limit that a joint uses; above 1, a limit is exceeded, shape (...,).
+
+        Args:
+            q: Joint positions, radians, shape (..., 7).
+            dq: Joint velocities there, rad/s, shape (..., 7).
+        """
+        lower, upper = self(q)
+        limits = np.where(dq > 0.0, upper, -lower)
+        shares: Array = (np.abs(dq) / np.maximum(limits, LEAST_LIMIT)).max(axis=-1)
+        return shares
 
     @cached_property
     def _gain_times_distance(self) -> tuple[Array, Array]:

@@ -9,17 +9,14 @@ from dynaforge.benchmarks import limits as bench_limits
 from dynaforge.geometry import JointTrajectory, Pose
 from dynaforge.planning import ArmKinematics, CollisionModel, Obstacle
 from dynaforge.sim.robot import franka
+from dynaforge.sim.speed_limits import SpeedLimits
 from dynaforge.tasks import get_task
 
 CAN = get_task("can")
 
 
-def test_each_side_of_each_speed_limit_counts_and_so_does_the_mean_over_a_step():
+def test_the_mean_velocity_of_a_control_step_counts_too():
     robot, turn = franka(), np.eye(7)[3]
-    near_lower_end = np.array((0.0, 0.0, 0.0, -2.9481, 0.0, 2.2, 0.785))  # a tenth above: joint 4 may go down at 0.594
-    down, up = np.array((-0.6 * turn, 0.6 * turn))
-    shares = bench_limits.speed_shares(np.array((near_lower_end,) * 2), np.array((down, up)), robot)
-    np.testing.assert_allclose(shares, (0.6 / (np.sqrt(0.8) - 0.3), 0.6 / 2.62))
     q = robot.q_ready + np.array((0.0, 0.1, 0.1))[:, None] * turn  # 3 rad/s in the first step, and nothing said of it
     np.testing.assert_allclose(
         bench_limits.reference_shares(q, np.zeros((3, 7)), robot, dt=1 / 30), (3.0 / 2.62, 0.0), atol=1e-12
@@ -31,8 +28,8 @@ def test_joint_references_of_episodes_keep_the_speed_limits_and_faster_ones_are_
     assert figure.ok, figure
     assert 0.1 < figure.raw["residual 0"]["most_share"] <= 1.0 + bench_limits.ROUNDING
     assert figure.raw["random residuals"]["control_steps"] > 10
-    shares = bench_limits.speed_shares
-    monkeypatch.setattr(bench_limits, "speed_shares", lambda q, dq, robot: shares(q, 3.0 * dq, robot))
+    share = SpeedLimits.share
+    monkeypatch.setattr(SpeedLimits, "share", lambda limits, q, dq: share(limits, q, 3.0 * dq))
     (figure,) = bench_limits.speed_limits(CAN, n=1)
     assert not figure.ok
     assert not figure.measured.startswith("0 %")

@@ -68,6 +68,11 @@ def ask_for_too_much_speed(steps: Columns) -> None:
     steps["joint_velocity_reference"][5, 2] = 2.8
 
 
+def ask_for_too_much_speed_near_an_end(steps: Columns) -> None:
+    steps["joint_reference"][5, 3] = -2.9481  # a tenth above the lower end of joint 4, which may go down at 0.594 rad/s
+    steps["joint_velocity_reference"][5] = -0.7 * np.eye(7)[3]
+
+
 def ask_for_too_much_acceleration(steps: Columns) -> None:
     steps["joint_velocity_reference"][:5], steps["joint_velocity_reference"][5:] = 0.0, 0.5
 
@@ -81,6 +86,7 @@ def ask_for_too_much_acceleration(steps: Columns) -> None:
         (too_fast, "a joint moves at 1.53 of its speed limit"),
         (snap, "the hand opens or closes at 1.2"),
         (ask_for_too_much_speed, "commanded to 1.07 of its speed limit"),
+        (ask_for_too_much_speed_near_an_end, "commanded to 1.18 of its speed limit"),
         (ask_for_too_much_acceleration, "commanded to 1.50 of its acceleration limit"),
     ],
 )

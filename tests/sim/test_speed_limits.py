@@ -30,6 +30,15 @@ def test_a_joint_at_its_end_may_only_leave_it():
     np.testing.assert_array_equal(upper[2], LIMITS.cap)
 
 
+def test_each_side_counts_by_its_own_limit():
+    near_lower_end = np.array((0.0, 0.0, 0.0, -2.9481, 0.0, 2.2, 0.785))  # a tenth above: joint 4 may go down at 0.594
+    down_and_up = np.array((-0.6, 0.6))[:, None] * np.eye(7)[3]
+    shares = LIMITS.share(np.stack((near_lower_end, near_lower_end)), down_and_up)
+    np.testing.assert_allclose(shares, (0.6 / (np.sqrt(0.8) - 0.3), 0.6 / 2.62))
+    assert LIMITS.share(LIMITS.upper, np.eye(7)[0]) > 1e6
+    assert LIMITS.share(LIMITS.upper, np.zeros(7)) == 0.0
+
+
 def test_one_configuration_and_many_have_the_same_limits():
     q = np.random.default_rng(0).uniform(LIMITS.lower - 0.1, LIMITS.upper + 0.1, (3, 5, 7))
     many = LIMITS(q)
