@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.ledger import Ledger
+from dynaforge.demos.provenance import Provenance
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.envs.world import World

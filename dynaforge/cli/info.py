@@ -16,6 +16,7 @@ def run(options: argparse.Namespace) -> int:
     size = sum(path.stat().st_size for path in options.folder.rglob("*") if path.is_file())
     counts = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
     _print(f"{options.folder}: {task.env_name}, {counts}")
+    _print(f"setting: {task.setting}")
     for table in attempt_tables(attempts, task):
         _print(f"\n{table}")
     if attempts and episodes:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from dynaforge.demos.episode import Attempt, Episode
 from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, read_episode, write_episode
 from dynaforge.demos.ledger import Ledger
+from dynaforge.demos.provenance import Provenance, check_setting
 from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable, read_json
 from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.sim.checks import check_flag, check_kind, check_task_name
@@ -20,31 +21,6 @@ SOURCES = "generators.json"
 EPISODES = "episodes"
 _LEDGER = "ledger.jsonl"
 NOTES = (_MARKER, SOURCES, _LEDGER)
-
-
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """What made the attempts of a generator.
-
-    Attributes:
-        policy: Digest of the policy; "" without one.
-        task_definition: Digest of the task's definition.
-        task_file: Name of the file that defined the task; "" for a task of the package. Only for messages: a dataset
-            may come from anybody, so nothing that it names is ever imported.
-    """
-
-    policy: str
-    task_definition: str
-    task_file: str = field(default="", compare=False)
-
-    def __post_init__(self) -> None:
-        check_kind("Provenance: policy", self.policy, str)
-        check_kind("Provenance: task_definition", self.task_definition, str)
-        check_kind("Provenance: task_file", self.task_file, str)
-
-    def to_dict(self) -> dict[str, str]:
-        """Return it as plain data."""
-        return {name: value for name, value in asdict(self).items() if value or name != "task_file"}
 
 
 class DemonstrationDataset:
@@ -156,19 +132,21 @@ class DemonstrationDataset:
         except FileNotFoundError:
             return {}
         try:
-            return {name: Provenance(**noted) for name, noted in data.items()}
+            return {name: Provenance.from_dict(noted) for name, noted in data.items()}
         except (ValueError, TypeError, AttributeError) as error:
             raise DamagedFileError(path, f"it does not say what made the episodes ({printable(error)})") from error
 
     def note_source(self, generator: str, source: Provenance) -> None:
-        """Note what makes the attempts of a generator, so that those of two policies or task definitions never mix.
+        """Note what makes a generator's attempts, so that those of two policies, definitions or settings never mix.
 
         Raises:
             PermissionError: The dataset was opened for reading only.
-            ValueError: The folder contains attempts of another policy, or with another definition of the task.
+            ValueError: The folder contains attempts of another policy, with another definition of the task, or, by
+                whatever generator, under another setting.
         """
         self._check(self.task)
         sources = self.sources()
+        check_setting(str(self.path), sources.values(), source.setting)
         noted = sources.get(generator)
         if noted == source:
             return

@@ -6,12 +6,13 @@ is accepted only if the demonstrations were made with it.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Iterable
 from dataclasses import replace
 
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.provenance import Provenance, settings_of
 from dynaforge.demos.untrusted import DamagedFileError
 from dynaforge.registration import ENV_NAMES
 from dynaforge.tasks import FRAMES, Task, get_task, task_file_name
@@ -19,7 +20,7 @@ from dynaforge.tasks.digest import task_digest
 
 
 def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
-    """Return the task of a dataset.
+    """Return the task of a dataset, in the setting that its attempts were made under.
 
     Args:
         dataset: The demonstrations.
@@ -35,14 +36,25 @@ def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
         raise ValueError(
             f"{dataset.path} holds demonstrations of task {dataset.task!r}; {given} is task {task.name!r}."
         )
-    recorded = {source.task_definition for source in _sources(dataset)}
-    variant = next((same for same in _variants(task) if task_digest(same) in recorded), None)
+    sources = _sources(dataset)
+    recorded, (task, *others) = {source.task_definition for source in sources}, _settings(task, sources)
+    variants = (variant for each in (task, *others) for variant in _variants(each))
+    variant = next((same for same in variants if task_digest(same) in recorded), None)
     if variant is None and recorded and (file := task_file_name(task)):
         raise ValueError(
             f"{dataset.path}: the scene, conditions, phases or residual of {file} differ from those that the "
             f"demonstrations were made with, since its digest is {task_digest(task)}. {_origin(dataset)}"
         )
     return variant or task
+
+
+def _settings(task: Task, sources: list[Provenance]) -> list[Task]:
+    """Return a task in every setting that is noted and that it can have; as it is where there is none."""
+    found = []
+    for setting in settings_of(sources):
+        with contextlib.suppress(ValueError):  # a folder from elsewhere may note one that this task cannot have
+            found.append(task.under(**setting.to_dict()))
+    return found or [task]
 
 
 def _variants(task: Task) -> Iterable[Task]:

@@ -8,10 +8,11 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from dynaforge.demos.consistency import contradictions, is_planned
-from dynaforge.demos.dataset import SOURCES, Provenance
+from dynaforge.demos.dataset import SOURCES
 from dynaforge.demos.differences import differences
 from dynaforge.demos.episode import Attempt, Episode
 from dynaforge.demos.folder_checks import wrong_condition
+from dynaforge.demos.provenance import Provenance
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import state_digests
 from dynaforge.planning import ArmKinematics

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset, Provenance
+from dynaforge.demos.dataset import EPISODES, NOTES, SOURCES, DemonstrationDataset
 from dynaforge.demos.episode import Attempt
 from dynaforge.demos.episode_file import SUFFIX
 from dynaforge.demos.observation_file import SETTINGS
 from dynaforge.demos.observations import FOLDER as OBSERVATIONS
 from dynaforge.demos.observations import ObservationFolder
+from dynaforge.demos.provenance import Provenance
 from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable
 from dynaforge.files.atomic import is_temporary
 from dynaforge.sim import Condition

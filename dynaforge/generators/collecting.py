@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import chain
 
 from dynaforge.demos import Attempt, DemonstrationDataset
-from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.provenance import Provenance
 from dynaforge.generators.attempts import Result, run_attempts
 from dynaforge.generators.generator import Generator
 from dynaforge.generators.giving_up import MIN_ATTEMPTS, GaveUp
@@ -111,8 +111,8 @@ def collect(
         All attempts of this generator at these conditions that the folder now contains.
 
     Raises:
-        ValueError: The folder contains attempts of another policy, or with another definition of the task; or an
-            argument is malformed.
+        ValueError: The folder contains attempts of another policy, with another definition of the task or under another
+            setting; or an argument is malformed.
         GaveUp: Too many attempts in a row failed, see `Goal`.
     """
     source = ConditionSource() if source is None else source
@@ -136,7 +136,7 @@ def _check_arguments(dataset: object, task: object, goal: object, source: object
 
 
 def _provenance(generator: Generator, task: Task) -> Provenance:
-    return Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task))
+    return Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task), task.setting)
 
 
 class _Progress:

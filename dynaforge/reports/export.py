@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter
-from dynaforge.demos.exporters.frames import Floats, env_of
+from dynaforge.demos.exporters.frames import Floats, env_arguments_of, env_of
 from dynaforge.demos.observations import ObservationFolder
 from dynaforge.generators.bridge import ExportBridge, succeeds_again
 from dynaforge.reports.card import Exported, write_card
@@ -130,7 +130,7 @@ def _contents(task: Task, episode: Frames, layout: str) -> dict[str, str]:
     """Return what each control step contains, for the card."""
     rendered = [*episode.images, *(f"depth of {camera}" for camera in episode.depths)]
     rendered += ["points"] if episode.points is not None and layout != "lerobot" else []
-    arguments = ", ".join(f"{name}={value!r}" for name, value in episode.layout.env_arguments.items())
+    arguments = ", ".join(f"{name}={value!r}" for name, value in env_arguments_of(task, episode.layout).items())
     return {
         "actions": ", ".join(episode.action_names),
         "env of the actions": f"`gymnasium.make({env_of(task)!r}, {arguments})`",

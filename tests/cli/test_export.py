@@ -67,7 +67,7 @@ def test_what_was_rendered_can_be_left_out_and_what_a_kill_left_is_cleared_away(
     assert [path.name for path in out.parent.iterdir()] == ["deeper"]
     card = (out / "README.md").read_text()
     assert "| actions | x, y, z, r1x, r1y, r1z, r2x, r2y, r2z, width, elbow |" in card
-    assert "gymnasium.make('DynaForge/PeachTask-v0', action_mode='ee', rotation='rotation_6d', elbow=True)" in card
+    assert "gymnasium.make('DynaForge/PeachTask-v0', action_mode='ee', rotation='rotation_6d', elbow=True, " in card
     assert "| observations | state of the robot |" in card
     assert "peach_position" in card
     assert "| instruction | pick up the rolling peach and put it into the moving bowl |" in card

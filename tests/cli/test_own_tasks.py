@@ -17,7 +17,7 @@ from dynaforge.cli.arguments.tasks import chosen_task, chosen_tasks
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.provenance import Provenance
 from dynaforge.generators import Generator, Goal, PlannerOnly, collect
 from dynaforge.generators.attempts import Result, failed_attempt
 from dynaforge.sim import Condition

@@ -13,7 +13,7 @@ import pytest
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset, Episode, audit
 from dynaforge.demos.audit import Flag
-from dynaforge.demos.dataset import Provenance
+from dynaforge.demos.provenance import Provenance
 from dynaforge.demos.replay import Replayer
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import PlannerOnly

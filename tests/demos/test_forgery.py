@@ -13,7 +13,6 @@ import pytest
 
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.consistency import contradictions
-from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.differences import differences
 from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.folder_checks import read_notes
@@ -23,6 +22,7 @@ from dynaforge.demos.observations import (
     ObservationSettings,
     standard_cameras,
 )
+from dynaforge.demos.provenance import Provenance
 from dynaforge.demos.replay import Replayer
 from dynaforge.demos.schema import SCHEMA, state_digests
 from dynaforge.demos.verification import EpisodeVerifier, verify

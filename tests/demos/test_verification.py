@@ -15,9 +15,9 @@ from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt, DemonstrationDataset, Episode
-from dynaforge.demos.dataset import Provenance
 from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
+from dynaforge.demos.provenance import Provenance
 from dynaforge.demos.schema import state_digests
 from dynaforge.demos.verification import verify
 from dynaforge.envs.residual_env import ResidualEnv

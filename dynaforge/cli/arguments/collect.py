@@ -10,6 +10,7 @@ from dynaforge.cli.arguments.shared import add_workers
 from dynaforge.cli.arguments.tasks import add_task_argument, chosen_task
 from dynaforge.cli.command import Command
 from dynaforge.demos import DemonstrationDataset
+from dynaforge.demos.provenance import check_setting
 from dynaforge.generators.names import COLLECTING
 from dynaforge.options.numbers import SEED, WholeNumber, shard
 from dynaforge.options.paths import OutputPath
@@ -58,11 +59,17 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> None:
-    """Refuse settings that the generator does not use, and a folder of another task."""
+    """Refuse settings that the generator does not use, and a folder of another task or of another setting."""
     check_generators(options)
-    task, out = chosen_task(options).name, options.out or default_folder(options)
-    if (out / "dataset.json").is_file() and (stored := DemonstrationDataset(out).task) != task:
-        raise ValueError(f"--out {out} holds demonstrations of {stored!r}, not of {task!r}. Choose another folder.")
+    task, out = chosen_task(options), options.out or default_folder(options)
+    if not (out / "dataset.json").is_file():
+        return
+    dataset = DemonstrationDataset(out)
+    if dataset.task != task.name:
+        raise ValueError(
+            f"--out {out} holds demonstrations of {dataset.task!r}, not of {task.name!r}. Choose another folder."
+        )
+    check_setting(f"--out {out}", dataset.sources().values(), task.setting)
 
 
 def default_folder(options: argparse.Namespace) -> Path:

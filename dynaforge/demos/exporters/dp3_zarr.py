@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Frames, env_of
+from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Frames, env_arguments_of, env_of
 from dynaforge.tasks import Task
 from dynaforge.tasks.action import JOINTS
 
@@ -84,4 +84,4 @@ def _describe(root: Any, task: Task, episode: Frames) -> None:
     for name, components in names.items():
         root["data"][name].attrs["names"] = list(components)
     root.attrs["instruction"] = task.instruction
-    root.attrs["env"] = {"id": env_of(task), **episode.layout.env_arguments}
+    root.attrs["env"] = {"id": env_of(task), **env_arguments_of(task, episode.layout)}

@@ -130,6 +130,11 @@ def env_of(task: Task) -> str:
     return f"DynaForge/{task.env_name}Task-v0"
 
 
+def env_arguments_of(task: Task, layout: ActionLayout) -> dict[str, Any]:
+    """Return the arguments with which the env takes such actions in the setting of a task, as plain JSON data."""
+    return layout.env_arguments | task.setting.to_dict()
+
+
 def axes_of(key: str) -> tuple[str, ...]:
     """Return the names of the components of a quantity in `Frames.objects`."""
     return ("w", *AXES) if key.endswith("_quat_wxyz") else AXES

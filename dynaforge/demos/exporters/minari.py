@@ -17,7 +17,7 @@ import numpy as np
 from minari.data_collector import EpisodeBuffer
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Floats, Frames, env_of
+from dynaforge.demos.exporters.frames import CONTACTS, STATE_NAMES, Floats, Frames, env_arguments_of, env_of
 from dynaforge.demos.replay import Replayer
 from dynaforge.sim import SceneState
 from dynaforge.tasks import Task
@@ -93,7 +93,7 @@ def _spec(task: Task, frames: Frames) -> gym.envs.registration.EnvSpec | None:
     """Return the spec from which `recover_environment` makes the env; None for a task without a registered env."""
     spec = copy.deepcopy(gym.registry.get(env_of(task)))
     if spec is not None:
-        spec.kwargs |= frames.layout.env_arguments
+        spec.kwargs |= env_arguments_of(task, frames.layout)
     return spec
 
 

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dynaforge.demos.exporters.frames import ROBOT_NAMES, Floats, Frames, axes_of, env_of
+from dynaforge.demos.exporters.frames import ROBOT_NAMES, Floats, Frames, axes_of, env_arguments_of, env_of
 from dynaforge.tasks import Task
 
 FILE = "demos.hdf5"
@@ -65,7 +65,7 @@ def write(folder: Path, task: Task, episodes: Iterable[Frames]) -> int:
 
 def _metadata(task: Task, episode: Frames) -> dict[str, Any]:
     """Describe the columns, the instruction, and the env of the unscaled actions."""
-    env = {"env_name": env_of(task), "type": GYM, "env_kwargs": episode.layout.env_arguments}
+    env = {"env_name": env_of(task), "type": GYM, "env_kwargs": env_arguments_of(task, episode.layout)}
     names = {**ROBOT_NAMES, **{PRIVILEGED + key: axes_of(key) for key in _truth(episode)}}
     return {
         "env_args": env,
