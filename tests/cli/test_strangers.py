@@ -23,6 +23,7 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.main import main
 from dynaforge.demos.dataset import FORMAT
 from dynaforge.demos.episode_file import FORMAT_VERSION
+from dynaforge.sim.setting import Setting
 from dynaforge.training import run as runs
 from dynaforge.training import run_pool
 from dynaforge.training.run_spec import Evaluation, RunSpec
@@ -142,6 +143,7 @@ def ppo_run(changes: dict[str, int], folder: Path) -> RunSpec:
         steps=1,
         evaluation=Evaluation("val", 1, 1),
         folder=folder,
+        setting=Setting(),
     )
 
 

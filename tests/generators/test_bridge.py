@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -176,7 +177,8 @@ def clumsy(task):
 
 
 def test_a_learner_of_a_file_is_measured_in_the_terms_of_its_export(can: DemonstrationDataset, tmp_path: Path) -> None:
-    frames = next(frames_of(can, "joint"))
+    again = share_that_acts(can, "can", "joint")  # a grasp may hang on the rounding to float32
+    frames = next(itertools.compress(frames_of(can, "joint"), again))
     (tmp_path / "player_of_a_test.py").write_text(PLAYER)
     np.save(tmp_path / "player_of_a_test.npy", frames.actions)
     source = str(tmp_path / "player_of_a_test.py")
