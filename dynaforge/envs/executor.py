@@ -105,7 +105,7 @@ class PhaseExecutor:
         self._steps += 1
         self._spent[self.index] += 1
         view, phase = self._true.view(), self.phase
-        for reason, impossible in (*phase.fails, *self.task.endings):
+        for reason, impossible in self._endings:
             if self._holds(reason, impossible, view):
                 return self._fail(reason)
         if self._hold.push(self._holds("done", phase.done, view)):
@@ -147,6 +147,7 @@ class PhaseExecutor:
         speed = self.task.phases[index].ramp
         left = None if speed is None or not self._steps else self._now()
         self.index, self._checkpoint = index, max(self._checkpoint, index)
+        self._endings = (*self.phase.fails, *self.task.endings)
         self._place = f"Phase {self.phase.name!r}"  # which the message of a mistake in one of its words begins with
         self._steps = 0
         self._hold = Hold(self.phase, control_dt=self._dt)
@@ -172,14 +173,15 @@ class PhaseExecutor:
     def _plan(self, view: PhaseView) -> None:
         phase, sample = self.phase, None
         seen = view if self._seen is self._true else self._seen.view()
+        lowest = self._lowest(seen)
         if self._trajectory is not None:
             sample = self._trajectory[min(self._steps + 1, len(self._trajectory) - 1)]
         elif not self._frozen:
-            self._target = self._aim(seen)
+            self._target = raised_to(self._wanted(seen), lowest)
             until = phase.track_until
             self._frozen = until is not None and self._holds("track_until", until, view)
         target = self._ramped(self._target, self._steps + 1)
-        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, self._lowest(seen))
+        self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, lowest)
 
     def _now(self) -> Pose:
         """Return where the running phase wants the hand now, at the end of a control step."""
@@ -193,7 +195,10 @@ class PhaseExecutor:
         return evaluate_predicate(self._place, role, predicate, view, self._target)
 
     def _aim(self, seen: PhaseView) -> Pose:
-        return raised_to(evaluate_target(self._place, self.phase.target, seen), self._lowest(seen))
+        return raised_to(self._wanted(seen), self._lowest(seen))
+
+    def _wanted(self, seen: PhaseView) -> Pose:
+        return evaluate_target(self._place, self.phase.target, seen)
 
     def _lowest(self, seen: PhaseView) -> float:
         """Return the least height of the end effector in the world, metres."""

@@ -60,7 +60,7 @@ def motor_commands(
 def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorCommands]) -> tuple[float, SceneState]:
     """Replay the motor commands of an episode, and nothing else.
 
-    Hand and fixtures are commanded once per control step.
+    The hand is commanded where its command changes, fixtures once per control step.
 
     Args:
         scene: The scene to simulate it in.
@@ -75,7 +75,7 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
     # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.
     run_arm, step_physics, hand = scene._arm.run, scene._step_physics, scene._hand
     fixtures = tuple(scene._bullet.fixtures.values())
-    due_substep = hand.state.due
+    due_substep, told = hand.state.due, hand.last
     begin = time.process_time()
     for step in commands:
         if step.opens_gate:
@@ -85,8 +85,9 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
         for fixture, due in zip(fixtures, step.fixtures, strict=True):
             fixture.command(due)
         for substep, command in enumerate(step.arm):
-            if substep == due_substep:
+            if substep == due_substep and step.hand != told:
                 hand.command(step.hand)
+                told = step.hand
             run_arm(command)
             step_physics()
     return time.process_time() - begin, scene.observe()

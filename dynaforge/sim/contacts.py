@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynaforge.geometry import Pose, one_line
@@ -63,8 +64,12 @@ class Contacts:
 NO_CONTACTS = Contacts()
 
 
+Found = Sequence[tuple[Any, ...]]
+"""Contact points as Bullet returns them. The robot was loaded first and is always the first of two bodies."""
+
+
 class ContactReader:
-    """Reads all contacts of a scene in one call to Bullet.
+    """Reads the contacts of a scene.
 
     Args:
         scene: The scene in Bullet.
@@ -73,6 +78,7 @@ class ContactReader:
     def __init__(self, scene: BulletScene) -> None:
         self._ask = scene.client.getContactPoints
         self._robot = scene.robot.body
+        self._of_robot = partial(self._ask, self._robot)
         self._sides = {joint: side for side, joint in enumerate(scene.robot.fingers)}
         self._free = {body.body: name for name, body in scene.free.items()}
         self._names = self._free | {scene.table: "table"}
@@ -81,9 +87,23 @@ class ContactReader:
             self._tracked |= fixture.tracked
             self._names |= dict.fromkeys(fixture.variants, name)
 
-    def read(self, ee: Pose) -> Contacts:
-        """Return the contacts now; `ee` is `T_world_ee`, whose y axis is the one on which the fingers open."""
-        found = self._ask()
+    def all(self) -> Found:
+        """Return all contact points now."""
+        found: Found = self._ask()
+        return found
+
+    def of_robot(self) -> Found:
+        """Return the contact points now at the robot."""
+        found: Found = self._of_robot()
+        return found
+
+    def read(self, found: Found, ee: Pose) -> Contacts:
+        """Return what contact points say.
+
+        Args:
+            found: All contact points.
+            ee: `T_world_ee`, whose y axis is the one on which the fingers open.
+        """
         if not found:
             return NO_CONTACTS
         opening = ee.rotation[:, 1].tolist()
@@ -91,12 +111,7 @@ class ContactReader:
         knocks: dict[str, float] = {}
         supports: dict[tuple[str, str], float] = {}
         depths: dict[str, float] = {}
-        for a, b, link_a, link_b, normal, distance, force in _fields(found):
-            if b == self._robot:
-                a, b, link_a, link_b = b, a, link_b, link_a
-                along = force * _dot(normal, opening)
-            else:
-                along = -force * _dot(normal, opening)  # the normal points from b to a
+        for _, a, b, link_a, link_b, _, _, normal, distance, force, *_ in found:
             name, tracked = self._names[b], self._tracked.get(b, link_b) == link_b
             other = "robot" if a == self._robot else self._names[a]
             for deep in (name, other):
@@ -111,6 +126,7 @@ class ContactReader:
                     supports[other, name] = supports.get((other, name), 0.0) + force
             elif tracked and link_a in self._sides:
                 side = self._sides[link_a]
+                along = -force * _dot(normal, opening)  # the normal points from b to a
                 press = fingers.setdefault(name, [[0.0, 0.0], [0.0, 0.0]])[side]
                 press[0] += force
                 press[1] += along if side else -along  # the left finger opens along +y
@@ -122,11 +138,6 @@ class ContactReader:
             supports=supports,
             depths=depths,
         )
-
-
-def _fields(found: Iterable[Any]) -> Iterable[tuple[int, int, int, int, tuple[float, ...], float, float]]:
-    """Iterate over bodies a and b, their links, the normal on b, the distance and the normal force of contacts."""
-    return ((c[1], c[2], c[3], c[4], c[7], c[8], c[9]) for c in found)
 
 
 def _dot(a: tuple[float, ...], b: list[float]) -> float:

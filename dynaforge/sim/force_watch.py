@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-
 import numpy as np
 
 from dynaforge.geometry import Array
 from dynaforge.sim.arm_dynamics import ArmDynamics
+from dynaforge.sim.contacts import Found
 from dynaforge.sim.loads import NO_LOADS, Loads, StepLoads
 from dynaforge.sim.reflex import NAMED, THRESHOLDS, Thresholds
 
@@ -20,8 +18,6 @@ class ForceWatch:
     reflex acts when the mean exceeds a threshold in two control steps in a row.
 
     Args:
-        client: The physics client.
-        body: Bullet's index of the robot.
         dynamics: Gives the Jacobian.
         thresholds: Those of the reflex.
 
@@ -29,8 +25,7 @@ class ForceWatch:
         tripped: Whether the reflex has stopped the robot.
     """
 
-    def __init__(self, client: Any, body: int, dynamics: ArmDynamics, thresholds: Thresholds) -> None:
-        self._contacts = partial(client.getContactPoints, body)
+    def __init__(self, dynamics: ArmDynamics, thresholds: Thresholds) -> None:
         self._dynamics = dynamics
         levels = (*(THRESHOLDS[name] for name in NAMED), thresholds)
         self._levels = np.array([(level.force, level.moment, *level.torque) for level in levels])
@@ -52,11 +47,11 @@ class ForceWatch:
         shares = dict(zip(NAMED, self._most_shares[:-1].tolist(), strict=True))  # the last are those of the reflex
         return Loads(peak_force=peak_force, force=force, peak_torque=peak_torque, torque=torque, **shares)
 
-    def see(self) -> None:
-        """Note the contacts of the substep just made."""
-        contacts = self._contacts()
+    def see(self, contacts: Found) -> None:
+        """Note the robot's contacts of the substep just made."""
         self._counts.append(len(contacts))
         if contacts:
+            # Point, normal and its force, both directions of friction and theirs.
             self._rows += [(*c[5], *c[7], c[9], *c[11], c[10], *c[13], c[12]) for c in contacts]
 
     def end_step(self, q: Array, origin: Array) -> StepLoads:
@@ -85,13 +80,11 @@ class ForceWatch:
 
     def _sum(self, q: Array, origin: Array) -> tuple[StepLoads, Array]:
         """Return the loads of the control step, and their shares of the thresholds."""
-        points, normals, normal, first, along, second, across = np.split(
-            np.array(self._rows), (3, 6, 7, 10, 11, 14), axis=1
-        )
-        forces = normal * normals + along * first + across * second
+        rows = np.array(self._rows)
+        forces = rows[:, 6:7] * rows[:, 3:6] + rows[:, 10:11] * rows[:, 7:10] + rows[:, 14:] * rows[:, 11:14]
         wrenches = np.zeros((len(self._counts), 6))
         substep = np.repeat(np.arange(len(self._counts)), self._counts)
-        np.add.at(wrenches, substep, np.hstack((forces, np.cross(points - origin, forces))))
+        np.add.at(wrenches, substep, np.hstack((forces, np.cross(rows[:, :3] - origin, forces))))
         torques = wrenches @ self._dynamics.jacobian(q)
         mean, torque = wrenches.mean(axis=0), torques.mean(axis=0)
         step = StepLoads(

@@ -123,8 +123,13 @@ class Hand:
         return self._due
 
     def drive(self) -> None:
-        """Let the oldest opening reach the drive, and hold the fingers where they have come."""
+        """Let the oldest opening reach the drive, and hold the fingers where they have come.
+
+        Fingers that are held at this opening already are told nothing.
+        """
         target, (_, lower, upper) = self._waiting.popleft(), self.last
+        if lower == upper == (target, target):
+            return
         (left, *_), (right, *_) = self._joint_states()
         self.command(
             HandCommand(

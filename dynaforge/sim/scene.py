@@ -15,7 +15,7 @@ from dynaforge.sim.bullet_scene import load_scene
 from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_picture
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
-from dynaforge.sim.contacts import ContactReader
+from dynaforge.sim.contacts import ContactReader, Found
 from dynaforge.sim.exact_restore import ExactRestore
 from dynaforge.sim.force_watch import ForceWatch
 from dynaforge.sim.hand import HAND_DELAY, Hand, HandState
@@ -79,7 +79,7 @@ class SimScene:
         client, body, joints = self._bullet.client, self._bullet.robot.body, self._bullet.robot.arm
         self._arm = ArmMotors(client, body, joints, self.robot, substeps=spec.substeps, control_dt=spec.control_dt)
         self._hand = Hand(client, self._bullet.robot, self.robot, substeps=spec.substeps, physics_dt=spec.physics_dt)
-        self._watch = ForceWatch(client, body, self._arm.dynamics, thresholds(reflex))
+        self._watch = ForceWatch(self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
         self._condition: Condition | None = None
         self._saved_later: tuple[int, HandState, Memory] | None = None
@@ -182,11 +182,15 @@ class SimScene:
         for substep, command in enumerate(self._arm.plan(q_reference)):
             if substep == due:
                 self._hand.drive()
+            if substep:
+                self._watch.see(self._contacts.of_robot())
             self._arm.run(command)
             self._step_physics()
-            self._watch.see()
+        # The snapshot needs the contacts of the last substep too: they are asked once, those without the robot as well.
+        found = self._contacts.all()
+        self._watch.see([contact for contact in found if contact[1] == self._bullet.robot.body])
         self._time += self.spec.control_dt
-        return self.observe()
+        return self._snapshot(found)
 
     @property
     def loads(self) -> Loads:
@@ -201,11 +205,14 @@ class SimScene:
 
     def observe(self) -> SceneState:
         """Return a snapshot of the scene."""
-        joints = self._joint_states()
-        q, dq = np.array([joint[0] for joint in joints[:7]]), np.array([joint[1] for joint in joints[:7]])
+        return self._snapshot(self._contacts.all())
+
+    def _snapshot(self, found: Found) -> SceneState:
+        positions, velocities, *_ = zip(*self._joint_states(), strict=True)
+        q, dq = np.array(positions[:7]), np.array(velocities[:7])
         ee = self._ee_pose()
         fixtures = self._bullet.fixtures
-        contacts = self._contacts.read(ee)
+        contacts = self._contacts.read(found, ee)
         objects = {}
         for name, body in self._observed:
             velocity, angular = self._body_twist(body)
@@ -217,7 +224,7 @@ class SimScene:
             q=q,
             dq=dq,
             ee=ee,
-            width=joints[7][0] + joints[8][0],
+            width=positions[7] + positions[8],
             objects=objects,
             touching={name: contacts.touching(name) for name in objects},
             on_table={name: (name, "table") in contacts.supports for name, _ in self._observed},

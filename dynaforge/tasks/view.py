@@ -96,6 +96,8 @@ def heading_frames(state: SceneState, previous: Mapping[str, Pose] | None) -> di
 
 def heading_frame(body: BodyState, previous: Pose | None) -> Pose:
     """Return the heading frame of one object; `previous` is that of the last control step, None at the start."""
+    if previous is not None and previous.position is body.pose.position:
+        return previous  # something that cannot move, whose state is one and the same
     vx, vy, _ = body.velocity.tolist()
     if vx * vx + vy * vy > HEADING_SPEED**2:
         rotation = rotation_z(math.atan2(vy, vx))

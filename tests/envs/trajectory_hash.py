@@ -68,7 +68,7 @@ def condition(stratum: int, seed: int = 3) -> Condition:
     return get_task("can").conditions.draw(np.random.default_rng(seed), stratum, 8)
 
 
-LIFTED = condition(0, 59)
+LIFTED = condition(0, 5)
 """A condition whose can is lifted with the actions of `action`; chosen anew whenever the motion changes on purpose."""
 
 

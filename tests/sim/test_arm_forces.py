@@ -88,23 +88,12 @@ def test_free_motion_carries_no_load(world: World) -> None:
     assert world.scene.loads.peak_force == 0.0
 
 
-class OneContact:
-    """A client whose robot has one contact of a given force, straight up, at the origin."""
-
-    def __init__(self) -> None:
-        self.newtons = 0.0
-
-    def getContactPoints(self, body: int) -> list[tuple[object, ...]]:  # noqa: N802
-        zero, up = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-        return [(0, body, 1, 0, -1, zero, zero, up, 0.0, self.newtons, 0.0, zero, 0.0, zero)] if self.newtons else []
-
-
 def loads_of(*newtons: float, reflex: str | float = "contact") -> ForceWatch:
-    """Return a watch that saw these forces, one per control step of a single substep."""
-    client = OneContact()
-    watch = ForceWatch(client, 0, ArmDynamics(franka()), thresholds(reflex))  # type: ignore[arg-type]
-    for client.newtons in newtons:
-        watch.see()
+    """Return a watch that saw these forces, straight up at the origin, one per control step of a single substep."""
+    watch = ForceWatch(ArmDynamics(franka()), thresholds(reflex))  # type: ignore[arg-type]
+    zero, up = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    for force in newtons:
+        watch.see([(0, 0, 1, 0, -1, zero, zero, up, 0.0, force, 0.0, zero, 0.0, zero)] if force else [])
         watch.end_step(franka().q_ready, np.zeros(3))
     return watch
 
