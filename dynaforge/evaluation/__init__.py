@@ -2,6 +2,7 @@
 
 from dynaforge.evaluation.dgr import DgrReport
 from dynaforge.evaluation.dgr_tables import comparison_table, task_table
+from dynaforge.evaluation.few_seeds import few_seeds_interval
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
 from dynaforge.evaluation.statistics import (
     BootstrapDifference,
@@ -22,6 +23,7 @@ __all__ = [
     "analyse_frontier",
     "bootstrap_over_tasks",
     "comparison_table",
+    "few_seeds_interval",
     "mcnemar_exact",
     "paired_difference",
     "task_table",

@@ -190,9 +190,7 @@ def bootstrap_over_tasks(
         raise ValueError("There is no task to compare on.")
     differences, draws = [], np.zeros(resamples)
     for a, b in pairs:
-        first, second = _outcomes(a).astype(float), _outcomes(b).astype(float)
-        if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not (first.size and second.size):
-            raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
+        first, second = check_runs(a, b)
         conditions = _weights(first.shape[1], resamples, rng)
         rates = [
             np.sum((_weights(len(outcomes), resamples, rng) @ outcomes) * conditions, axis=1)
@@ -203,6 +201,22 @@ def bootstrap_over_tasks(
     tail = (1 - confidence) / 2
     ends = np.quantile(draws, [tail, 1 - tail])
     return BootstrapDifference(float(np.mean(differences)), Interval(float(ends[0]), float(ends[1])), resamples)
+
+
+def check_runs(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+    """Return the outcomes of two algorithms on a task as numbers, success of seed s on condition c.
+
+    Args:
+        a: Outcomes, shape (S_a, C).
+        b: Outcomes on the same conditions, shape (S_b, C).
+
+    Raises:
+        ValueError: The shapes do not fit, or the outcomes are not binary.
+    """
+    first, second = _outcomes(a).astype(float), _outcomes(b).astype(float)
+    if first.ndim != 2 or second.ndim != 2 or first.shape[1] != second.shape[1] or not (first.size and second.size):
+        raise ValueError(f"Expected (S_a, C) and (S_b, C) with equal C; given {first.shape} and {second.shape}.")
+    return first, second
 
 
 def _weights(n: int, resamples: int, rng: np.random.Generator) -> Array:

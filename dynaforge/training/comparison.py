@@ -11,8 +11,9 @@ from statistics import mean
 import numpy as np
 from numpy.typing import NDArray
 
+from dynaforge.evaluation.few_seeds import few_seeds_interval
 from dynaforge.evaluation.frontier import FrontierAnalysis, analyse_frontier
-from dynaforge.evaluation.statistics import BootstrapDifference, bootstrap_over_tasks
+from dynaforge.evaluation.statistics import BootstrapDifference, Interval, bootstrap_over_tasks
 from dynaforge.geometry import Array
 from dynaforge.training.history import TrainingHistory
 from dynaforge.training.run_spec import PLANNER_ONLY
@@ -133,8 +134,11 @@ class Comparison:
 
     def difference(self, variant: str, tasks: Sequence[str]) -> BootstrapDifference:
         """Compare a variant's mean DGR over tasks with the reference's; bootstrap over seeds and conditions."""
-        pairs = [(self.outcomes(task, self.reference), self.outcomes(task, variant)) for task in tasks]
-        return bootstrap_over_tasks(pairs, rng=np.random.default_rng(0))
+        return bootstrap_over_tasks(self._pairs(variant, tasks), rng=np.random.default_rng(0))
+
+    def few_seeds_interval(self, variant: str, tasks: Sequence[str]) -> Interval:
+        """Return the interval of the same difference by Student's t, which is right with few seeds too."""
+        return few_seeds_interval(self._pairs(variant, tasks))
 
     def curve(self, task: str, variant: str) -> Array:
         """Return success in training at each update, mean over seeds, shape (U,); as long as the shortest run."""
@@ -201,6 +205,9 @@ class Comparison:
             return math.nan
         reached = np.flatnonzero(np.convolve(success, np.ones(3) / 3, "valid") >= vanilla.mean() - 1e-9)
         return float(steps[reached[0] + 2]) if len(reached) else math.inf
+
+    def _pairs(self, variant: str, tasks: Sequence[str]) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        return [(self.outcomes(task, self.reference), self.outcomes(task, variant)) for task in tasks]
 
     def _histories(self, task: str, variant: str) -> list[TrainingHistory]:
         return [run.history for run in self.of(task, variant) if run.history is not None]

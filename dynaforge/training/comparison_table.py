@@ -20,6 +20,7 @@ COLUMNS = (
     "opt. steps",
     "against",
     "95 %",
+    "95 % by t",
     "opt. ratio",
     "steps to",
     "probes",
@@ -47,7 +48,7 @@ def comparison_table(comparison: Comparison) -> str:
         shared = comparison.complete_tasks(variant)
         if len(shared) > 1:
             grid.add_row(f"mean of {len(shared)}", variant, *cells(comparison, variant, shared))
-    console = Console(file=io.StringIO(), width=200, color_system=None, force_terminal=False)
+    console = Console(file=io.StringIO(), width=220, color_system=None, force_terminal=False)
     with console.capture() as capture:
         console.print(grid)
     rows = "\n".join(line.rstrip() for line in capture.get().rstrip().splitlines())
@@ -63,8 +64,9 @@ def legend(comparison: Comparison) -> str:
         f"DGR of the final policy without exploration on {evaluation.blocks} x {evaluation.attempts} conditions of "
         f"{evaluation.stream}, mean and std over training seeds; mean of the last {FINAL_PROBES} probes\non val, "
         f"without exploration; optimizer steps of a run; against {reference} in points, 95 % bootstrap over training "
-        f"seeds and conditions;\noptimizer steps and environment steps to {reference}'s final success in "
-        "training, and in probes, as ratios to it ('-': not reached);\nof a run: thousands of transitions in kept "
+        "seeds and conditions,\nand 95 % by Student's t, which holds where few seeds disagree too ('-': one seed does "
+        f"not tell); optimizer steps and environment steps to {reference}'s final success\nin training, and in "
+        "probes, as ratios to it ('-': not reached); of a run: thousands of transitions in kept "
         "groups, minutes of simulation and of optimisation, CPU and wall, on one core."
     )
 
@@ -98,9 +100,9 @@ def _rates(summaries: Sequence[VariantSummary]) -> list[str]:
 def _against_reference(comparison: Comparison, variant: str, tasks: Sequence[str]) -> list[str]:
     reference = comparison.reference
     if variant == reference or not all(comparison.of(task, reference) for task in tasks):
-        return ["-"] * 5
+        return ["-"] * 6
     found = comparison.difference(variant, tasks)
-    low, high = found.interval
+    intervals = (found.interval, comparison.few_seeds_interval(variant, tasks))
     pairs = [(comparison.summary(task, variant), comparison.summary(task, reference)) for task in tasks]
     ratios = (
         mean(getattr(ours, name) / getattr(theirs, name) for ours, theirs in pairs)
@@ -108,7 +110,7 @@ def _against_reference(comparison: Comparison, variant: str, tasks: Sequence[str
     )
     return [
         f"{100 * found.difference:+.1f}",
-        f"{100 * low:+.1f} to {100 * high:+.1f}",
+        *(f"{100 * low:+.1f} to {100 * high:+.1f}" if math.isfinite(low) else "-" for low, high in intervals),
         *(f"{ratio:.2f} x" if math.isfinite(ratio) else "-" for ratio in ratios),
     ]
 
