@@ -26,11 +26,9 @@ COLLECT = ["collect", "--task", "can", "--generator", "planner_only", "--attempt
 UNDER = {
     "the task's own": [],
     "reflex": ["--reflex", "strict"],
-    "newtons": ["--reflex", "37.5"],
     "fixed": ["--physics", "fixed"],
     "wide": ["--physics", "wide"],
-    "one field wide": ["--physics", "wide:joint_gain"],
-    "all": ["--reflex", "off", "--physics", "wide", "--sensing", "real"],
+    "all": ["--reflex", "37.5", "--physics", "wide:joint_gain", "--sensing", "real"],
 }
 
 
@@ -81,7 +79,12 @@ def test_an_export_names_its_setting_and_its_actions_are_replayed_in_it(
     assert main(["export", str(tmp_path / "data"), "--format", "robomimic", "--failures"]) == 0
     card = (tmp_path / "data-robomimic" / "README.md").read_text()
     assert "| contact sheet" not in capsys.readouterr().out
-    for row in ("| reflex | off: no force", "| hidden physics | wide |", "| sensing | real |", "sensing='real')`"):
+    for row in (
+        "| reflex | above 37.5 N",
+        "| hidden physics | wide:joint_gain |",
+        "| sensing | real |",
+        "sensing='real')`",
+    ):
         assert row in card, row
     arguments = json.loads(json.dumps(env_arguments_of(task, ActionLayout())))
     env = gym.make(env_of(task), **arguments)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.consistency import contradictions
 from dynaforge.demos.differences import differences
+from dynaforge.demos.episode_checks import of_physics
 from dynaforge.demos.episode_file import write_episode
 from dynaforge.demos.folder_checks import read_notes
 from dynaforge.demos.observations import (
@@ -187,6 +189,23 @@ def test_a_forged_label_is_named(tmp_path: Path, honest: Episode, again: Any, la
     forged, what = LABELS[label]
     found = problems(tmp_path, forged(honest), again)
     assert any(what in problem for problem in found), found
+
+
+def test_a_peak_above_that_of_its_episode_is_named_without_a_replay(tmp_path: Path, honest: Episode) -> None:
+    assert honest.loads is not None
+    peaks = honest.steps["peak_force"].copy()
+    peaks[-1] = honest.loads.peak_force + 1.0
+    (problem,) = problems(tmp_path, replace(honest, steps=dict(honest.steps) | {"peak_force": peaks}), None)
+    assert problem.startswith("peak_force exceeds the episode's")
+
+
+def test_forged_loads_are_named_where_only_the_joint_references_are_replayed(honest: Episode) -> None:
+    assert honest.loads is not None
+    with closing(Replayer(get_task(TASK))) as replayer:
+        check = of_physics(None, replayer)
+        assert list(check(honest)) == []
+        (problem,) = check(replace(honest, loads=replace(honest.loads, strict=0.5)))
+    assert problem.startswith("its loads are recorded as")
 
 
 @pytest.mark.parametrize(
