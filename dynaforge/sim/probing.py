@@ -62,9 +62,10 @@ def push_hand(scene: SimScene, force: Array) -> None:
 @contextlib.contextmanager
 def blind(scene: SimScene) -> Iterator[None]:
     """Let the scene watch no forces in the block: its loads stay 0 and its reflex does not act."""
-    watch = scene._watch
-    watch.see = _nothing  # type: ignore[method-assign]
+    watch, contacts = scene._watch, scene._contacts
+    watch.see = lambda contacts: None  # type: ignore[method-assign]
+    contacts.of_robot = tuple  # type: ignore[method-assign]
     try:
         yield
     finally:
-        del watch.see
+        del watch.see, contacts.of_robot
