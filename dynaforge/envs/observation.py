@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -42,7 +44,7 @@ class ObservationBuilder:
         self._robot = robot
         self._q_middle = (robot.q_upper + robot.q_lower) / 2
         self._q_half = (robot.q_upper - robot.q_lower) / 2
-        self._one_hot = np.eye(len(task.phases))
+        self._one_hot = np.eye(len(task.phases)).tolist()
         self._dt = task.scene.control_dt
         self._time_limit = task.time_limit
         self._others = _others(task)
@@ -71,47 +73,48 @@ class ObservationBuilder:
         frame, plan = executor.frame, executor.action
         to_frame = frame.rotation  # row vectors: v_frame = v_world @ R_world_frame
         name = executor.phase.target.object
-        parts: list[Array | tuple[float, ...]] = []
-        for state in reversed(self._history):
-            body = state.objects[name]
-            parts.append((state.ee.position - body.pose.position) @ to_frame)
-            parts.append(body.velocity @ to_frame)
-            parts.append((state.width, *map(float, state.touching[self._manipulated])))
-        state, before = self._history[-1], self._history[-2]
-        body = state.objects[name]
-        parts += (
-            (state.ee.position - before.ee.position) @ to_frame / self._dt,
-            body.angular_velocity @ to_frame,
-            *(part for name in self._others for part in _body_features(state, name, to_frame)),
-            body.pose.position,
-            (float(to_frame[0, 0]), float(to_frame[1, 0])),
-            (plan.target.pose.position - state.ee.position) @ to_frame,
-            rotvec_from_matrix(plan.target.pose.rotation @ state.ee.rotation.T) @ to_frame,
-            (plan.target.width,),
-            (state.q - self._q_middle) / self._q_half,
-            state.dq / self._robot.dq_max,
-            self._one_hot[plan.phase],
-            (
-                float(plan.gate),
-                float(executor.frozen),
-                executor.phase_time_left,
-                1.0 - state.time / self._time_limit,
-            ),
-            last_action,
+        *_, before, state = self._history
+        body, hand, plan_pose = state.objects[name], state.ee, plan.target.pose
+        vectors: list[Array] = []
+        for past in reversed(self._history):
+            then = past.objects[name]
+            vectors += (past.ee.position - then.pose.position, then.velocity)
+        vectors += (hand.position - before.ee.position, body.angular_velocity)
+        for other in self._others:
+            vectors += _body_features(state, other)
+        vectors += (
+            plan_pose.position - hand.position,
+            rotvec_from_matrix(plan_pose.rotation @ hand.rotation.T),
         )
-        vector = np.concatenate(parts) / self._scale
+        turned = np.array(vectors) @ to_frame
+        turned[2 * HISTORY] /= self._dt  # the first after the history, of the hand's position, becomes its velocity
+        rows = turned.tolist()
+        history = zip(rows[: 2 * HISTORY : 2], rows[1 : 2 * HISTORY : 2], reversed(self._history), strict=True)
+        parts: Iterable[Sequence[float]] = (
+            *(part for where, speed, past in history for part in (where, speed, self._fingers(past))),
+            *rows[2 * HISTORY : -2],
+            body.pose.position.tolist(),
+            to_frame[:2, 0].tolist(),
+            *rows[-2:],
+            (plan.target.width,),
+            ((state.q - self._q_middle) / self._q_half).tolist(),
+            (state.dq / self._robot.dq_max).tolist(),
+            self._one_hot[plan.phase],
+            (plan.gate, executor.frozen, executor.phase_time_left, 1.0 - state.time / self._time_limit),
+            last_action.tolist(),
+        )
+        vector = np.array([*chain.from_iterable(parts)]) / self._scale
         clipped: NDArray[np.float32] = np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
         return clipped
 
+    def _fingers(self, state: SceneState) -> tuple[float, ...]:
+        return (state.width, *state.touching[self._manipulated])
 
-def _body_features(state: SceneState, name: str, to_frame: Array) -> tuple[Array, Array, Array]:
-    """Return the features `_PER_BODY` of a body."""
+
+def _body_features(state: SceneState, name: str) -> tuple[Array, Array, Array]:
+    """Return the features `_PER_BODY` of a body, along the axes of the world."""
     body = state.objects[name]
-    return (
-        (body.pose.position - state.ee.position) @ to_frame,
-        body.velocity @ to_frame,
-        body.pose.rotation[:, 2] @ to_frame,
-    )
+    return body.pose.position - state.ee.position, body.velocity, body.pose.rotation[:, 2]
 
 
 def observation_layout(task: Task, n_actions: int) -> tuple[tuple[str, int, float], ...]:

@@ -147,9 +147,9 @@ class LocalPlanner:
 
     def _next(self, q_goal: Array) -> JointState:
         """Return the state one control step nearer to the goal."""
-        lower, upper = self._speed_limits(self._reference.joints.q)
-        self._input.min_velocity = np.minimum(lower, -LEAST_SPEED).tolist()
-        self._input.max_velocity = np.maximum(upper, LEAST_SPEED).tolist()
+        down, up = np.maximum(self._speed_limits.toward_ends(self._reference.joints.q), LEAST_SPEED).tolist()
+        self._input.min_velocity = [-speed for speed in down]
+        self._input.max_velocity = up
         self._input.target_position = q_goal.tolist()
         output = self._output
         try:

@@ -84,7 +84,7 @@ class ForceWatch:
         forces = rows[:, 6:7] * rows[:, 3:6] + rows[:, 10:11] * rows[:, 7:10] + rows[:, 14:] * rows[:, 11:14]
         wrenches = np.zeros((len(self._counts), 6))
         substep = np.repeat(np.arange(len(self._counts)), self._counts)
-        np.add.at(wrenches, substep, np.hstack((forces, np.cross(rows[:, :3] - origin, forces))))
+        np.add.at(wrenches, substep, np.hstack((forces, _cross(rows[:, :3] - origin, forces))))
         torques = wrenches @ self._dynamics.jacobian(q)
         mean, torque = wrenches.mean(axis=0), torques.mean(axis=0)
         step = StepLoads(
@@ -92,3 +92,10 @@ class ForceWatch:
         )
         loads = np.concatenate(((np.linalg.norm(mean[:3]), np.linalg.norm(mean[3:])), np.abs(torque)))
         return step, (loads / self._levels).max(axis=1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross products of rows, shape (n, 3); np.cross takes three times as long on a few of them."""
+    after, before = [1, 2, 0], [2, 0, 1]
+    product: Array = a[:, after] * b[:, before] - a[:, before] * b[:, after]
+    return product

@@ -69,7 +69,7 @@ class SimScene:
             check_flag('visuals, unless it is "plain",', visuals)
         self.spec = spec
         self.robot = robot or franka()
-        self._stop_speeds = self.robot.stop_speed * self.robot.dq_max
+        self._stop_speeds = (self.robot.stop_speed * self.robot.dq_max).tolist()
         self._bullet = load_scene(spec, self.robot, visuals=visuals, gui=gui)
         self.names = tuple(self._bullet.bodies)
         self._surfaces = Surfaces(self._bullet)
@@ -229,7 +229,7 @@ class SimScene:
             touching={name: contacts.touching(name) for name in objects},
             on_table={name: (name, "table") in contacts.supports for name, _ in self._observed},
             contacts=contacts,
-            stopped=bool((np.abs(dq) > self._stop_speeds).any()),
+            stopped=any(abs(speed) > most for speed, most in zip(velocities, self._stop_speeds, strict=False)),
             loads=self._watch.end_step(q, ee.position),
             overloaded=self._watch.tripped,
             pressed={name: fixture.pressed for name, fixture in fixtures.items() if fixture.spec.spring},

@@ -51,10 +51,19 @@ class SpeedLimits:
         Args:
             q: Joint positions, radians, shape (..., 7).
         """
+        speeds = self.toward_ends(q)
+        return -speeds[..., 0, :], speeds[..., 1, :]
+
+    def toward_ends(self, q: Array) -> Array:
+        """Return the greatest speeds allowed toward the lower and toward the upper end, rad/s, shape (..., 2, 7).
+
+        Args:
+            q: Joint positions, radians, shape (..., 7).
+        """
         slope, intercept = self._gain_times_distance
         roots = np.sqrt(np.maximum(slope * q[..., None, :] + intercept, 0.0))
-        speeds = np.minimum(np.maximum(roots - self.offset, 0.0), self.cap)
-        return -speeds[..., 0, :], speeds[..., 1, :]
+        speeds: Array = np.minimum(np.maximum(roots - self.offset, 0.0), self.cap)
+        return speeds
 
     def share(self, q: Array, dq: Array) -> Array:
         """Return the largest share of its limit that a joint uses; above 1, a limit is exceeded, shape (...,).

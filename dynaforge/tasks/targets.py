@@ -56,6 +56,7 @@ class Grip(StrEnum):
 # The hand points down and its fingers open along x (or y) of the object frame, in which the columns are the axes of ee.
 DOWN_ALONG_X = np.array(((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
 DOWN_ALONG_Y = np.diag((1.0, -1.0, -1.0))
+HALF_TURN: Array = np.array((-1.0, -1.0, 1.0))  # about the hand's axis: factors of the columns of its rotation
 
 
 def hand_rotation(view: PhaseView, frame: Pose, name: str, grip: Grip) -> Array:
@@ -267,7 +268,8 @@ def predicted_position(view: PhaseView, name: str) -> Array:
 def straight_down(rotation: Array) -> Array:
     """Return the nearest rotation of a hand that points straight down; the fingers keep their horizontal direction."""
     x, y, _ = rotation[:, 1].tolist()
-    return rotation_z(math.atan2(y, x) - math.pi / 2) @ (DOWN_ALONG_Y * (-1.0, -1.0, 1.0))
+    straight: Array = rotation_z(math.atan2(y, x) - math.pi / 2) @ (DOWN_ALONG_Y * HALF_TURN)
+    return straight
 
 
 def upright_rotation(axis: Array) -> Array:
@@ -280,5 +282,5 @@ def upright_rotation(axis: Array) -> Array:
 
 def nearer_half_turn(rotation: Array, current: Array) -> Array:
     """Return a grasp's rotation, or that turned by pi about the hand's axis, whichever is nearer to `current`."""
-    turned = rotation * (-1.0, -1.0, 1.0)
+    turned = rotation * HALF_TURN
     return turned if np.vdot(turned, current) > np.vdot(rotation, current) else rotation
