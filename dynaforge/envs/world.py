@@ -106,15 +106,16 @@ class World:
     def restore(self) -> None:
         """Go back to `first_gate`, from which the same actions give the same bits every time."""
         self.scene.restore()
-        put_back(self._memory)
+        put_back([*self._memory, (self, self._own)])
         self.local.restore(self.reference)
 
     def _save(self) -> None:
         self.scene.save()
         self._saved, self._first_gate = self.scene.saved, self.state
         self._gate_opened = True
-        own = {name: getattr(self, name) for name in ("state", "sensed", "reference", "_gate_opened")}
-        self._memory = [*remember(self.follower, self._commands), (self, own)]
+        # Its own part is named apart, since a world that referred to itself would stay until garbage is collected.
+        self._own = {name: getattr(self, name) for name in ("state", "sensed", "reference", "_gate_opened")}
+        self._memory = remember(self.follower, self._commands)
         self.local.restore(self.reference)
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:

@@ -82,7 +82,7 @@ class SimScene:
         self._watch = ForceWatch(self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
         self._condition: Condition | None = None
-        self._saved_later: tuple[int, HandState, Memory] | None = None
+        self._saved_later: tuple[int, HandState, Memory, float] | None = None
 
     def _bind_hot_calls(self) -> None:
         # Looking a function up in the client costs a third of the time of a short call.
@@ -127,8 +127,8 @@ class SimScene:
         What a condition fixes once and for all, such as masses, is not part of it.
         """
         self._forget()
-        memory = [*remember(self._arm, self._watch), (self, {"_time": self._time})]
-        self._saved_later = (self._bullet.client.saveState(), self._hand.state, memory)
+        memory = remember(self._arm, self._watch)
+        self._saved_later = (self._bullet.client.saveState(), self._hand.state, memory, self._time)
         self.restore()
 
     @property
@@ -144,7 +144,7 @@ class SimScene:
         """
         if self._saved_later is None:
             raise RuntimeError("No world is saved: call save() after reset().")
-        state, hand, memory = self._saved_later
+        state, hand, memory, self._time = self._saved_later
         self._restoring.restore(state)
         self._hand.restore(hand)
         put_back(memory)

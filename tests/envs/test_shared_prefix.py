@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from collections import deque
 from collections.abc import Iterator
 from functools import partial
@@ -38,12 +40,25 @@ def episode(env: ResidualEnv, condition: Any, rollout: int, *, most: int = 10_00
     return [*answers, trace.hex.encode(), str(env.world.scene.loads).encode()]
 
 
+def test_an_env_that_is_dropped_frees_its_world_at_once() -> None:
+    env = ResidualEnv("can")
+    episode(env, env.task.conditions.draw(np.random.default_rng(0)), 0, most=12)
+    world = weakref.ref(env.world.scene)
+    gc.disable()
+    try:
+        del env
+        assert world() is None
+    finally:
+        gc.enable()
+
+
 # What is saved, when it is saved, and memory that is written before it is read.
 LEFT_OUT = {
     "_saved_later",
     "_saved",
     "_first_gate",
     "_memory",
+    "_own",
     "_prefix",
     "_fresh",
     "_gate_opened",
