@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-import torch as th
 from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.utils import obs_as_tensor
 
 from dynaforge.algos.buffer import GroupRolloutBuffer
+from dynaforge.algos.exploration import act
 from dynaforge.algos.group_results import GroupResults
 from dynaforge.algos.options import GroupFilter, TimestepCount
-from dynaforge.algos.policies import renew_noise
 from dynaforge.algos.resumable import ResumableAlgorithm
 from dynaforge.algos.success_signal import SuccessReader, require_success, success_readers
 from dynaforge.sampling.dispatch import DispatchStep, EpisodeDispatcher, FinishedEpisode
@@ -31,6 +29,7 @@ class CollectionSettings:
     """Settings of one iteration's sampling; see `FrontierGRPO` for their meaning.
 
     Attributes:
+        noise_key: What the exploration noise of the iteration is keyed by; None draws it from torch's stream.
         readers: Those options that read success.
     """
 
@@ -40,6 +39,7 @@ class CollectionSettings:
     group_filter: GroupFilter
     resample_max: int
     timesteps: TimestepCount
+    noise_key: tuple[int, int] | None
     readers: list[SuccessReader]
 
     @staticmethod
@@ -52,6 +52,7 @@ class CollectionSettings:
             group_filter=model.group_filter,
             resample_max=model.resample_max,
             timesteps=model.timesteps,
+            noise_key=(model.noise_entropy, model.iterations) if model.exploration == "job" else None,
             readers=success_readers(model),
         )
 
@@ -127,14 +128,9 @@ def run_jobs(
     dispatcher.submit(jobs)
     n_steps = 0
     while dispatcher.busy:
-        if model.use_sde:
-            # One noise matrix per episode; with `sde_sample_freq`, new ones for all rows every so many steps.
-            all_rows = model.sde_sample_freq > 0 and n_steps % model.sde_sample_freq == 0
-            renew_noise(model.policy, np.arange(env.num_envs) if all_rows else dispatcher.newly_started)
         obs = dispatcher.obs
-        with th.no_grad():
-            actions, values, log_probs = model.policy(obs_as_tensor(obs, model.device))
-        actions = actions.cpu().numpy()
+        sampled, values, log_probs = act(model, dispatcher, n_steps=n_steps, key=settings.noise_key)
+        actions = sampled.cpu().numpy()
         # The env takes the clipped action; the buffer keeps the sampled one, whose log-probability is known.
         clipped_actions = env_actions(actions, model.policy)
         tick = dispatcher.step(clipped_actions)

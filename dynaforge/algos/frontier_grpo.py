@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch as th
@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import FloatSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -21,13 +21,13 @@ from dynaforge.algos.group_results import GroupResults
 from dynaforge.algos.learning import fitting_record, learn_from, log_counters, remember
 from dynaforge.algos.options import (
     AdvantageScale,
+    Exploration,
     GroupFilter,
     LossAggregation,
     RateScale,
     StratumWeights,
     TimestepCount,
     check_grpo_options,
-    check_learn_arguments,
     check_seed,
 )
 from dynaforge.algos.policies import POLICY_ALIASES
@@ -91,6 +91,8 @@ class FrontierGRPO(ResumableAlgorithm):
             as one step, as under "skip"); or "nominal", all envs at every lock step whether idle or not, as SB3 counts.
         resample_max: Rounds of drawing other conditions in place of filtered groups, within an iteration.
         use_sde: Generalised state-dependent exploration; each episode has its own noise matrix.
+        exploration: "stream" draws noise from torch's generator, row by row as envs come free. "job" seeds it with
+            iteration, group, rollout and step, so that results are the same, bit for bit, for any number of envs.
         sde_sample_freq: Renew all noise matrices every so many steps; -1 renews them once per episode.
         stats_window_size: Episodes in the means under rollout/.
         tensorboard_log: Folder for TensorBoard, or None.
@@ -100,6 +102,7 @@ class FrontierGRPO(ResumableAlgorithm):
         device: "cpu", "cuda" or "auto".
 
     Attributes:
+        iterations: Iterations so far, those without an update included.
         optimizer_steps: Steps of the optimizer so far; SB3's `_n_updates` counts epochs.
         transitions_used: Gated transitions of kept groups so far, each counted once per update.
         rate_factor: With `desired_kl`, what the scheduled rate is multiplied by.
@@ -146,6 +149,7 @@ class FrontierGRPO(ResumableAlgorithm):
         max_episode_steps: int | None = None,
         timesteps: TimestepCount = "active",
         resample_max: int = 0,
+        exploration: Exploration = "stream",
         use_sde: bool = False,
         sde_sample_freq: int = -1,
         stats_window_size: int = 100,
@@ -180,7 +184,7 @@ class FrontierGRPO(ResumableAlgorithm):
         self.n_epochs, self.batch_size = n_epochs, batch_size
         self.clip_range, self.clip_range_high = clip_range, clip_range_high
         self.group_filter, self.stratified, self.condition_sampler = group_filter, stratified, condition_sampler
-        self.stratum_weights = stratum_weights
+        self.stratum_weights, self.exploration = stratum_weights, exploration
         self.scale_advantage, self.scale_learning_rate, self.loss_agg = scale_advantage, scale_learning_rate, loss_agg
         self.kl_coef, self.anchor_coef, self.rim_coef = kl_coef, anchor_coef, rim_coef
         self.target_kl, self.desired_kl = target_kl, desired_kl
@@ -192,7 +196,7 @@ class FrontierGRPO(ResumableAlgorithm):
 
     def _start_counting(self) -> None:
         """Set counters and the results of the last iteration to those of a model that has not been trained."""
-        self.optimizer_steps = self.transitions_used = self.skipped_updates = 0
+        self.iterations = self.optimizer_steps = self.transitions_used = self.skipped_updates = 0
         self.rate_factor = 1.0
         self.last_group_success: NDArray[np.bool_] | None = None
         self.last_group_returns: Array | None = None
@@ -217,24 +221,6 @@ class FrontierGRPO(ResumableAlgorithm):
 
     def _maybe_recommend_cpu(self, mlp_class_name: str = "CriticFreePolicy") -> None:
         super()._maybe_recommend_cpu(mlp_class_name)
-
-    def learn(
-        self,
-        total_timesteps: int,
-        callback: MaybeCallback = None,
-        log_interval: int = 1,
-        tb_log_name: str = "FrontierGRPO",
-        reset_num_timesteps: bool = True,
-        progress_bar: bool = False,
-    ) -> Self:
-        """Train for at least `total_timesteps`, in whole iterations; arguments as in SB3.
-
-        Raises:
-            ValueError: `total_timesteps` below 1, NaN or infinite, or `log_interval` below 1.
-            TypeError: Either is no number.
-        """
-        check_learn_arguments(total_timesteps, log_interval)
-        return super().learn(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
 
     def _setup_learn(self, total_timesteps: int, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
         if self.env is None:
@@ -297,4 +283,5 @@ class FrontierGRPO(ResumableAlgorithm):
         self.transitions_used += len(kept)
         log_counters(self, len(kept) / self.rollout_buffer.size())
         watch.log(self.logger, "optimize")
+        self.iterations += 1
         self._end_iteration()

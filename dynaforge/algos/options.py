@@ -13,6 +13,7 @@ AdvantageScale = Literal["group", "batch", "learnability", "none"]
 StratumWeights = Literal["equal", "frontier"]
 RateScale = Literal["none", "failures"]
 LossAggregation = Literal["step", "episode"]
+Exploration = Literal["stream", "job"]
 TimestepCount = Literal["active", "gated", "nominal"]
 
 CHOICES = {
@@ -21,6 +22,7 @@ CHOICES = {
     "scale_advantage": AdvantageScale,
     "scale_learning_rate": RateScale,
     "loss_agg": LossAggregation,
+    "exploration": Exploration,
     "timesteps": TimestepCount,
 }
 LARGEST_SEED = 2**32 - 1  # of numpy's global generator, which Stable-Baselines3 seeds

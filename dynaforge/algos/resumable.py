@@ -6,13 +6,14 @@ import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.type_aliases import MaybeCallback
 
+from dynaforge.algos.options import check_learn_arguments
 from dynaforge.algos.progress import TimestepProgressBar
 from dynaforge.algos.random_state import RandomState
 from dynaforge.files.atomic import atomic_write
@@ -26,9 +27,11 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
     Attributes:
         condition_rng: Generator that conditions are drawn from.
         minibatch_rng: Generator that minibatches are shuffled with.
+        noise_entropy: Number from which noise by job is seeded; of the seed, or random without one.
         stratum_record: Success of each stratum; None where strata are drawn without regard to it.
     """
 
+    noise_entropy: int
     stratum_record: StratumRecord | None
     condition_rng: np.random.Generator
     minibatch_rng: np.random.Generator
@@ -36,7 +39,9 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
     def _seed_generators(self, seed: int | None) -> None:
         # They are saved with the model: a resumed run continues its streams instead of repeating them. There are
         # two, so that the conditions drawn do not depend on how many minibatches were shuffled.
-        streams = np.random.SeedSequence(seed).spawn(2)
+        root = np.random.SeedSequence(seed)
+        streams = root.spawn(2)
+        self.noise_entropy = int(root.entropy)  # type: ignore[arg-type]
         self.condition_rng, self.minibatch_rng = (np.random.default_rng(stream) for stream in streams)
         self._iteration_start: RandomState | None = None
         self._saved_state: RandomState | None = None  # of the file this model was loaded from, until `learn`
@@ -59,6 +64,24 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
         both = CallbackList([plain, TimestepProgressBar()])
         both.init_callback(self)
         return both
+
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int = 1,
+        tb_log_name: str = "FrontierGRPO",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> Self:
+        """Train for at least `total_timesteps`, in whole iterations; arguments as in SB3.
+
+        Raises:
+            ValueError: `total_timesteps` below 1, NaN or infinite, or `log_interval` below 1.
+            TypeError: Either is no number.
+        """
+        check_learn_arguments(total_timesteps, log_interval)
+        return super().learn(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
 
     def _setup_learn(
         self, total_timesteps: int, callback: MaybeCallback = None, reset_num_timesteps: bool = True, *args: Any

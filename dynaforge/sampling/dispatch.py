@@ -122,6 +122,12 @@ class EpisodeDispatcher:
         return self._obs
 
     @property
+    def acting(self) -> list[tuple[int, Job, int]]:
+        """Rows that take an action at the next step, each with its job and the number of steps that it has taken."""
+        rows = np.flatnonzero(self._acting).tolist()
+        return [(row, job, int(self._lengths[row])) for row in rows if (job := self._job[row]) is not None]
+
+    @property
     def idle_share(self) -> float:
         """Share of row-steps since the last `submit` in which a row neither acted nor started an episode."""
         return self.idle_rows / max(1, self.ticks * self.n_envs)

@@ -23,7 +23,7 @@ from dynaforge.algos.random_state import RandomState
 from dynaforge.files.atomic import atomic_write
 
 FORMAT = "dynaforge-checkpoint"
-COUNTERS = ("num_timesteps", "_n_updates", "optimizer_steps", "transitions_used", "skipped_updates")
+COUNTERS = ("num_timesteps", "_n_updates", "iterations", "optimizer_steps", "transitions_used", "skipped_updates")
 
 
 def save_checkpoint(model: OnPolicyAlgorithm, path: Path) -> None:

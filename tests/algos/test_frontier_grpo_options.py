@@ -31,6 +31,7 @@ from dynaforge.sampling.vector_env import SharedMemoryVecEnv
         ({"stratum_weights": "frontier", "stratified": False}, "stratified=False leaves none"),
         ({"scale_advantage": "std"}, "Unknown scale_advantage 'std'"),
         ({"loss_agg": "steps"}, "Did you mean 'step'"),
+        ({"exploration": "jobs"}, "Did you mean 'job'"),
         ({"timesteps": "all"}, "'active', 'gated', 'nominal'"),
         ({"batch_size": 0}, "batch_size is 0"),
         ({"n_epochs": 0}, "n_epochs is 0"),
