@@ -1,6 +1,7 @@
 """Train a small policy from point clouds: a pack of demonstrations, a PointNet, and 16 actions at a time.
 
-dynaforge collect --task can --demos 200 --out data/can && dynaforge render data/can --no-images --points 256
+dynaforge collect --task can --policy runs/can-1/policy.safetensors --demos 200 --out data/can
+dynaforge render data/can --no-images --points 256
 python examples/train_an_imitator.py data/can      # about four minutes on one core
 dynaforge evaluate --task can --learner examples/train_an_imitator.py:load --observations data/can/observations
 

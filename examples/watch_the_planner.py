@@ -1,7 +1,9 @@
 """Watch the planner catch slow objects and miss fast ones, and what a learned residual makes of the same conditions.
 
 python examples/watch_the_planner.py --task can --film runs/can.gif
-python examples/watch_the_planner.py --task can --policy assets/can/policy.safetensors --film runs/can.gif
+python examples/watch_the_planner.py --task can --policy runs/can-1/policy.safetensors --film runs/can.gif
+
+The policy is one that `dynaforge forge --task can` has trained.
 """
 
 from __future__ import annotations

@@ -80,8 +80,8 @@ def default_folder(options: argparse.Namespace) -> Path:
 COMMAND = Command(
     text="demonstrations into a folder, on all cores; resumes",
     examples=(
-        "collect --task can --demos 100",
-        "collect --task peach --policy runs/peach/policy.safetensors --shard 0/4",
+        "collect --task can --generator planner_only --demos 20",
+        "collect --task peach --policy runs/peach-1/policy.safetensors --shard 0/4",
     ),
     add=add,
     check=check,

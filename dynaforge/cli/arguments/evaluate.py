@@ -78,7 +78,7 @@ def default_file(options: argparse.Namespace) -> Path:
 COMMAND = Command(
     text="demonstration generation rate of a generator on stored condition streams",
     examples=(
-        "evaluate --task can --generator planner_only residual",
+        "evaluate --task can --generator planner_only residual --policy runs/can-1/policy.safetensors",
         "evaluate --task all --stream test --attempts 200",
         "evaluate --task can --learner my_policy.py:load",
     ),
