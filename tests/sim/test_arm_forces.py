@@ -11,6 +11,7 @@ from dynaforge.envs.world import World
 from dynaforge.geometry import Pose
 from dynaforge.sim import HandTarget, SceneState, franka
 from dynaforge.sim.arm_dynamics import ArmDynamics
+from dynaforge.sim.arm_motors import ArmMotors
 from dynaforge.sim.force_watch import ForceWatch
 from dynaforge.sim.reflex import THRESHOLDS, thresholds
 from dynaforge.sim.scene import SimScene
@@ -128,3 +129,31 @@ def test_named_thresholds_descend() -> None:
         assert harder.force > softer.force
         assert harder.moment > softer.moment
         assert (harder.torque > softer.torque).all()
+
+
+def test_the_robot_is_the_first_body_of_its_contacts(world: World) -> None:
+    # Who reads contacts relies on it, and on this: among all contacts are those that Bullet reports of the robot.
+    scene = world.scene
+    world.reset(FASTEST)
+    for _ in range(80):
+        go(world, 0.5, 0.1, 0.005)
+        found = scene._contacts.all()
+        ours = [contact for contact in found if contact[1] == scene._bullet.robot.body]
+        assert ours == list(scene._contacts.of_robot())
+        assert all(contact[2] != scene._bullet.robot.body for contact in found)
+        if ours:
+            return
+    raise AssertionError("the hand never came to the table")
+
+
+def test_constant_acceleration_is_followed_exactly(world: World) -> None:
+    robot, dt, n = world.scene.robot, 1 / 30, 8
+    motors = ArmMotors(world.scene._bullet.client, 0, list(range(7)), robot, substeps=n, control_dt=dt)
+    a, h = np.linspace(-2.0, 2.0, 7), dt / n
+    for k in range(1, 4):
+        commands = motors.plan(robot.q_ready + 0.5 * a * (k * dt) ** 2)
+    since = (k - 1) * dt + h * np.arange(n)[:, None]
+    np.testing.assert_allclose([c.q for c in commands], robot.q_ready + 0.5 * a * since**2, atol=1e-12)
+    np.testing.assert_allclose([c.dq for c in commands], a * (since + h), atol=1e-12)
+    expected = [motors.dynamics.torque(robot.q_ready + 0.5 * a * t**2, a * t, a) for t in (since + h / 2)[:, 0]]
+    np.testing.assert_allclose([c.torque for c in commands], expected, atol=0.05)

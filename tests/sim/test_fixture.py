@@ -170,3 +170,20 @@ def test_a_root_link_with_a_frame_of_its_own_is_refused(tmp_path: Path) -> None:
     spec = SceneSpec(bodies=(BodySpec("weight", str(tmp_path / "off.urdf")),), launch=lambda _: {})
     with pytest.raises(ValueError, match="inertial origin of the root link must be 0 0 0"):
         SimScene(spec)
+
+
+def test_a_fixture_that_cannot_move_is_where_the_latest_condition_places_it(tmp_path: Path) -> None:
+    (tmp_path / "box.urdf").write_text(BOX)
+    scene = SimScene(
+        SceneSpec(
+            bodies=(),
+            fixtures=(FixtureSpec("rack", str(tmp_path / "box.urdf"), "weight"),),
+            launch=lambda condition: {"rack": Placement(Pose(np.eye(3), np.array((0.5, condition.values["y"], 0.02))))},
+        )
+    )
+    for y in (0.1, -0.2):
+        state = scene.reset(Condition("test", 0, 0.5, {"y": y}))
+        assert state.objects["rack"].pose.position == pytest.approx((0.5, y, 0.02))
+        after = scene.step(scene.robot.q_ready, 0.08)
+        assert after.objects["rack"] is state.objects["rack"]  # Bullet was not asked again
+    scene.close()
