@@ -172,15 +172,13 @@ def test_a_root_link_with_a_frame_of_its_own_is_refused(tmp_path: Path) -> None:
         SimScene(spec)
 
 
-def test_a_fixture_that_cannot_move_is_where_the_latest_condition_places_it(tmp_path: Path) -> None:
-    (tmp_path / "box.urdf").write_text(BOX)
-    scene = SimScene(
-        SceneSpec(
-            bodies=(),
-            fixtures=(FixtureSpec("rack", str(tmp_path / "box.urdf"), "weight"),),
-            launch=lambda condition: {"rack": Placement(Pose(np.eye(3), np.array((0.5, condition.values["y"], 0.02))))},
-        )
-    )
+def test_a_fixture_that_cannot_move_is_where_the_latest_condition_places_it(spec: SceneSpec, tmp_path: Path) -> None:
+    rack = FixtureSpec("rack", str(tmp_path / "box.urdf"), "weight")
+
+    def launch(condition: Condition) -> dict[str, Launch | Placement]:
+        return {**start(), "rack": Placement(Pose(np.eye(3), np.array((0.5, condition.values["y"], 0.02))))}
+
+    scene = SimScene(replace(spec, fixtures=(*spec.fixtures, rack), launch=launch))
     for y in (0.1, -0.2):
         state = scene.reset(Condition("test", 0, 0.5, {"y": y}))
         assert state.objects["rack"].pose.position == pytest.approx((0.5, y, 0.02))
