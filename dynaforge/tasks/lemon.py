@@ -87,7 +87,9 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
     return {"lemon": Launch(start, np.zeros(3), np.zeros(3), v["mass"]), "ledge": Placement(ledge)}
 
 
-CATCH = Catching("lemon", "ledge", ahead=0.05, height=0.005, pitch=math.radians(30.0))
+# Below sqrt(g RADIUS), 0.5 m/s, a lemon does not fly off but rolls round the edge and drops steeply: 5 cm ahead of the
+# edge it would already be below the fingers.
+CATCH = Catching("lemon", "ledge", ahead=0.04, height=0.005, pitch=math.radians(30.0))
 BACKED_OFF = Catching("lemon", "ledge", ahead=0.10, height=0.005, pitch=math.radians(30.0))
 # Below 45 mm the fingers pinch only the lemon's near end, and it would slip out if the edge did not wedge it in.
 CAUGHT = All((Grasped("lemon"), Around("lemon", 0.025), Narrowed(0.065), Not(Narrowed(0.045))))
@@ -123,7 +125,7 @@ TASK = Task(
             CATCH,
             width=0.066,
             gate=True,
-            done=Around("lemon", 0.12),
+            done=Around("lemon", 0.10),
             timeout=2.5,
             failure="never came",
         ),

@@ -11,7 +11,7 @@ import numpy as np
 from dynaforge.geometry import Pose
 from dynaforge.sim import Condition
 from dynaforge.sim.spec import BodySpec, FixtureSpec, Launch, Placement, SceneSpec
-from dynaforge.tasks.carriers import DRIVEN, carrier
+from dynaforge.tasks.carriers import DRIVEN, carrier, peak_speed
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.insertion import insertion_phases, rack_pick_phases
 from dynaforge.tasks.predicates import (
@@ -37,7 +37,7 @@ CONDITIONS = ConditionSpace(
     task="pen",
     difficulty="speed",
     ranges={
-        # Peak speed of the holder: nearly static up to that of a fast conveyor.
+        # Mean speed of the holder: nearly static up to that of a fast conveyor.
         "speed": (0.02, 0.3),
         # Below zero the holder slides back and forth, otherwise it turns.
         "motion": (-1.0, 1.0),
@@ -74,7 +74,7 @@ def launch(condition: Condition) -> Mapping[str, Launch | Placement]:
     side = math.copysign(1.0, v["side"])
     rack = np.array((v["rack_x"], -side * v["rack_y"], 0.0))
     holder = carrier(
-        np.array((v["holder_x"], side * v["holder_y"], 0.0)), math.copysign(v["speed"], v["motion"]),
+        np.array((v["holder_x"], side * v["holder_y"], 0.0)), peak_speed(v["speed"], v["motion"]),
         yaw=v["yaw"], phase=v["phase"], arm=ARM, swing=SWING,
     )  # fmt: skip
     still = np.zeros(3)
@@ -99,7 +99,7 @@ TASK = Task(
     name="pen",
     env_name="Pen",
     skill="insert",
-    motion="A pen holder slides back and forth or turns at a peak speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
+    motion="A pen holder slides back and forth or turns at a mean speed of 0.02 to 0.3 m/s; the pen rests in a rack.",
     randomisation="The holder's speed, kind of motion, phase, direction, place, width; the rack's place; the mass.",
     goal="The pen's tip is at 60 % of the depth or more, let go by a hand that is still around it, for 0.25 s.",
     instruction="put the pen into the moving pen holder",
