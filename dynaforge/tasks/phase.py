@@ -45,7 +45,7 @@ class Phase:
             the hand keeps following the object meanwhile; `done` still refers to the target where it ends. None: it
             jumps. Eq. 3 has no ramp; it is our deviation, because a jump of the target in height slows the chase of a
             moving object (all joints arrive together), and because the speed bounds how hard the hand strikes what
-            lies below.
+            lies below. For the same reason a target below the hand waits for a hand that trails.
         lowest: Least height of the end effector above the origin of the target's object, metres, whatever target and
             residual ask for; what lies below (the object under the palm, 39 mm above the end effector; the pad under
             the fingertips, 7 mm below it) is thus never pressed by command. None: only the table bounds it.

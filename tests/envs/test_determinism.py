@@ -5,24 +5,31 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
-from trajectory_hash import LIFTED, Traced, action, condition, run, traced_env
+from trajectory_hash import Traced, action, condition, lifted, run, traced_env
 
 from dynaforge.envs.task_env import TaskEnv
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
+from dynaforge.sim import Condition
 
-CONDITIONS = [LIFTED, condition(6)]  # the second is too fast
+
+@cache
+def conditions() -> list[Condition]:
+    """Return one condition whose can is lifted and one that is too fast."""
+    return [lifted(), condition(6)]
+
+
 IN_ANOTHER_PROCESS = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from trajectory_hash import LIFTED, condition, run, traced_env
+from trajectory_hash import condition, lifted, run, traced_env
 env = traced_env()
-print(*(run(env, c)[0] for c in (LIFTED, condition(6))))
+print(*(run(env, c)[0] for c in (lifted(), condition(6))))
 """
 
 
@@ -30,10 +37,10 @@ print(*(run(env, c)[0] for c in (LIFTED, condition(6))))
 def fresh() -> list[str]:
     """The digests of both conditions, each in an env of its own that did nothing before."""
     digests = []
-    for which in CONDITIONS:
+    for which in conditions():
         env = traced_env()
         digest, info = run(env, which)
-        assert info["is_success"] is (which is CONDITIONS[0])
+        assert info["is_success"] is (which is conditions()[0])
         digests.append(digest)
         env.close()
     assert digests[0] != digests[1]
@@ -41,7 +48,7 @@ def fresh() -> list[str]:
 
 
 def after_itself(env: Traced) -> None:
-    run(env, CONDITIONS[0])
+    run(env, conditions()[0])
 
 
 def after_other_conditions(env: Traced) -> None:
@@ -50,7 +57,7 @@ def after_other_conditions(env: Traced) -> None:
 
 
 def after_an_episode_left_in_mid_grasp(env: Traced) -> None:
-    env.reset(options={"condition": CONDITIONS[0]})
+    env.reset(options={"condition": conditions()[0]})
     state = env.unwrapped.world
     for k in range(100):
         env.step(action(k))
@@ -60,7 +67,7 @@ def after_an_episode_left_in_mid_grasp(env: Traced) -> None:
 
 
 def after_a_refused_action(env: Traced) -> None:
-    env.reset(options={"condition": CONDITIONS[1]})
+    env.reset(options={"condition": conditions()[1]})
     env.step(action(0))
     with pytest.raises(ValueError, match="finite"):
         env.step(np.full(5, np.nan, np.float32))
@@ -68,7 +75,7 @@ def after_a_refused_action(env: Traced) -> None:
 
 def after_another_env_in_the_process(env: Traced) -> None:
     other = TaskEnv("can", action_mode="joint")
-    other.reset(options={"condition": CONDITIONS[1]})
+    other.reset(options={"condition": conditions()[1]})
     low, high = other.action_space.low, other.action_space.high
     for k in range(40):
         other.step(low + (high - low) * np.float32(0.5 + 0.5 * np.sin(k)))
@@ -97,7 +104,7 @@ HISTORIES = [
 @pytest.mark.parametrize("history", HISTORIES)
 def test_the_history_of_an_env_leaves_no_trace(history: Callable[[Traced], None], fresh: list[str]) -> None:
     env = traced_env()
-    for which, digest in zip(CONDITIONS, fresh, strict=True):
+    for which, digest in zip(conditions(), fresh, strict=True):
         history(env)
         assert run(env, which)[0] == digest
     env.close()
@@ -105,15 +112,15 @@ def test_the_history_of_an_env_leaves_no_trace(history: Callable[[Traced], None]
 
 def test_drawing_pictures_changes_nothing(fresh: list[str]) -> None:
     env = traced_env(render_mode="rgb_array")
-    env.reset(options={"condition": CONDITIONS[1]})
+    env.reset(options={"condition": conditions()[1]})
     env.render()
-    assert [run(env, which)[0] for which in CONDITIONS] == fresh
+    assert [run(env, which)[0] for which in conditions()] == fresh
     env.close()
 
 
 def test_other_actions_give_another_trajectory(fresh: list[str]) -> None:
     env = traced_env()
-    assert run(env, CONDITIONS[0], scale=0.99)[0] != fresh[0]
+    assert run(env, conditions()[0], scale=0.99)[0] != fresh[0]
     env.close()
 
 
@@ -132,7 +139,7 @@ def vectorised_digests(envs: VecEnv) -> list[str]:
     """Run one episode per env, both conditions in turn; envs that end early continue with one that is ignored."""
     n = envs.num_envs
     digests: dict[int, str] = {}
-    envs.set_options([{"condition": CONDITIONS[index % 2]} for index in range(n)])
+    envs.set_options([{"condition": conditions()[index % 2]} for index in range(n)])
     envs.reset()
     k = 0
     while len(digests) < n:

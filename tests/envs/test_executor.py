@@ -323,11 +323,16 @@ def test_the_object_in_the_hand_is_measured_where_a_phase_takes_hold() -> None:
     assert executor._seen.view().grasp is None, "an episode does not inherit the grasp of the one before"
 
 
+def on_target(executor: PhaseExecutor, state: SceneState) -> SceneState:
+    """Return a scene in which the hand is where it was told to go."""
+    return replace(state, ee=executor.action.target.pose)
+
+
 def heights(executor: PhaseExecutor, *, x: float = 0.5, steps: int) -> list[float]:
     found = []
     for _ in range(steps):
         found.append(float(executor.action.target.pose.position[2]))
-        executor.advance(scene(x), REFERENCE)
+        executor.advance(on_target(executor, scene(x)), REFERENCE)
     return found
 
 
@@ -339,16 +344,25 @@ def descent(**more) -> Task:
 
 def test_a_ramp_takes_the_target_steadily_from_the_phase_before_to_its_own() -> None:
     executor = start(descent())
-    executor.advance(scene(touching=(True, False)), REFERENCE)
+    executor.advance(on_target(executor, scene(touching=(True, False))), REFERENCE)
     assert executor.phase.name == "descend"
     np.testing.assert_allclose(heights(executor, steps=7), 0.033 + np.array((8, 6, 4, 2, 0, 0, 0)) / 100)
+
+
+def test_a_target_that_goes_down_waits_for_a_hand_that_trails() -> None:
+    """The hand stays at 20 cm, so the target stays two control steps of its ramp below, instead of at 3.3 cm."""
+    executor = start(descent())
+    executor.advance(scene(touching=(True, False)), REFERENCE)
+    for _ in range(20):
+        executor.advance(scene(), REFERENCE)
+    np.testing.assert_allclose(executor.action.target.pose.position, (0.5, 0.0, 0.2 - 0.6 * 2 / 30))
 
 
 def test_a_ramp_turns_with_the_heading_of_its_object_and_follows_it() -> None:
     behind = replace(phase("touch", Touched("can")), target=Shifted("can", -0.1))
     executor = start(program(behind, phase("follow", Reached(0.005), ramp=0.6)))
-    executor.advance(scene(touching=(True, False)), REFERENCE)
-    turned = scene(0.6)
+    executor.advance(on_target(executor, scene(touching=(True, False))), REFERENCE)
+    turned = on_target(executor, scene(0.6))
     turned.objects["can"].velocity[:2] = (0.0, 0.5)  # it moved 10 cm and now goes to the left
     executor.advance(turned, REFERENCE)
     np.testing.assert_allclose(executor.action.target.pose.position, (0.6, -0.06, 0.033), atol=1e-12)

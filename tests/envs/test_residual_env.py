@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_hash import LIFTED, Traced, TrajectoryHash, action, condition, run
+from trajectory_hash import Traced, TrajectoryHash, action, condition, lifted, run
 
 from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.residual_env import ResidualEnv
@@ -17,7 +17,7 @@ from dynaforge.tasks.digest import task_digest
 from dynaforge.tasks.targets import Raised
 
 TASK = get_task("can")
-MANY = [condition(0, 5), LIFTED, condition(4), condition(7)]
+MANY = [condition(0, 5), condition(0), condition(4), condition(7)]
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_zero_residual_is_planner_only_bit_for_bit(which: Condition, skip: Trace
 
 
 def test_a_residual_changes_the_episode(skip: Traced) -> None:
-    assert run(skip, LIFTED)[0] != run(skip, LIFTED, scale=0.0)[0]
+    assert run(skip, lifted())[0] != run(skip, lifted(), scale=0.0)[0]
 
 
 def gated_decisions(env: Traced, which: Condition, *, noise: float = 0.0) -> tuple[list[np.ndarray], str, float]:
@@ -86,7 +86,7 @@ def test_both_gate_modes_give_the_same_gated_decisions(which: Condition, skip: T
 
 
 def test_actions_behind_a_closed_gate_have_no_effect(mask: Traced) -> None:
-    quiet, loud = gated_decisions(mask, LIFTED), gated_decisions(mask, LIFTED, noise=1.0)
+    quiet, loud = gated_decisions(mask, lifted()), gated_decisions(mask, lifted(), noise=1.0)
     assert quiet[1] == loud[1]
     np.testing.assert_array_equal(quiet[0], loud[0])
 
@@ -94,7 +94,7 @@ def test_actions_behind_a_closed_gate_have_no_effect(mask: Traced) -> None:
 @pytest.mark.parametrize("mode", ["skip", "mask"])
 def test_the_residual_drops_to_zero_the_moment_the_gate_closes(mode: str, request: pytest.FixtureRequest) -> None:
     env: Traced = request.getfixturevalue(mode)
-    gated_decisions(env, LIFTED)
+    gated_decisions(env, lifted())
     steps = env.trace.steps
     assert {step.planned.phase for step in steps} == set(range(5))
     for step in steps:
@@ -117,7 +117,7 @@ def test_an_ik_phase_without_a_gate_gets_no_residual(mode: str) -> None:
 
 def test_a_residual_is_repeated_for_its_control_steps_and_cut_where_the_gate_changes(mask: Traced) -> None:
     lengths: list[tuple[bool, bool, int]] = []
-    mask.reset(options={"condition": LIFTED})
+    mask.reset(options={"condition": lifted()})
     done, k = False, 0
     while not done:
         gate, before = mask.unwrapped.executor.action.gate, len(mask.trace.steps)
@@ -216,9 +216,9 @@ class NowhereNear(Raised):
 def test_an_episode_that_ends_before_its_gate_ends_with_its_first_steps(mode: str, task: Task, failure: str) -> None:
     env = ResidualEnv(task, gate_mode=mode)
     for _ in range(2):  # the second time, nothing of the first episode may show
-        observation, info = env.reset(options={"condition": LIFTED})
+        observation, info = env.reset(options={"condition": lifted()})
         assert observation in env.observation_space
-        assert info == {"condition_id": LIFTED.id}
+        assert info == {"condition_id": lifted().id}
         done, steps = False, 0
         while not done:
             observation, reward, done, truncated, info = env.step(np.ones(5, np.float32))
@@ -234,8 +234,8 @@ def test_an_episode_that_ends_before_its_gate_ends_with_its_first_steps(mode: st
 def test_a_failed_plan_leaves_no_observation_of_the_episode_before() -> None:
     used, new = (ResidualEnv(with_first_phase(target=NowhereNear("can", 0.0))) for _ in range(2))
     used.reset(options={"condition": condition(7)})
-    first, _ = used.reset(options={"condition": LIFTED})
-    np.testing.assert_array_equal(first, new.reset(options={"condition": LIFTED})[0])
+    first, _ = used.reset(options={"condition": lifted()})
+    np.testing.assert_array_equal(first, new.reset(options={"condition": lifted()})[0])
     used.close()
     new.close()
 

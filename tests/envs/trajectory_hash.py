@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
+from itertools import count
 from typing import Any
 
 import gymnasium as gym
@@ -68,10 +70,6 @@ def condition(stratum: int, seed: int = 3) -> Condition:
     return get_task("can").conditions.draw(np.random.default_rng(seed), stratum, 8)
 
 
-LIFTED = condition(0, 5)
-"""A condition whose can is lifted with the actions of `action`; chosen anew whenever the motion changes on purpose."""
-
-
 def action(k: int, size: int = 5) -> np.ndarray:
     """Return the residual of decision k: smooth, never zero, the same everywhere."""
     return (0.4 * np.sin(np.arange(1, size + 1) * (0.3 * k + 1.0))).astype(np.float32)
@@ -85,3 +83,12 @@ def run(env: Traced, which: Condition, *, scale: float = 1.0) -> tuple[str, dict
         _, _, done, _, info = env.step(scale * action(k, env.action_space.shape[0]))
         k += 1
     return info["trajectory"], info
+
+
+@cache
+def lifted() -> Condition:
+    """Return the first condition of the slowest stratum whose can is lifted with the actions of `action`."""
+    env = traced_env()
+    found = next(which for seed in count() if run(env, which := condition(0, seed))[1]["is_success"])
+    env.close()
+    return found
