@@ -53,6 +53,8 @@ class ObservationBuilder:
         self.layout = observation_layout(task, n_actions)
         self.size = sum(size for _, size, _ in self.layout)
         self._scale = np.concatenate([np.full(size, scale) for _, size, scale in self.layout])
+        ends = np.cumsum([size for _, size, _ in self.layout])
+        self._place = {part[0]: slice(end - part[1], end) for part, end in zip(self.layout, ends, strict=True)}
 
     def reset(self, state: SceneState) -> None:
         """Fill the history with the first state."""
@@ -106,6 +108,17 @@ class ObservationBuilder:
         vector = np.array([*chain.from_iterable(parts)]) / self._scale
         clipped: NDArray[np.float32] = np.clip(vector, -LIMIT, LIMIT).astype(np.float32)
         return clipped
+
+    def read(self, name: str, observation: NDArray[np.float32]) -> Array:
+        """Return one part of an observation in SI units, as `layout` names it.
+
+        Args:
+            name: Its name.
+            observation: What `build` returned, shape (size,).
+        """
+        place = self._place[name]
+        values: Array = observation[place] * self._scale[place]
+        return values
 
     def _fingers(self, state: SceneState) -> tuple[float, ...]:
         return (state.width, *state.touching[self._manipulated])
