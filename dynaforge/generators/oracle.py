@@ -78,9 +78,9 @@ class FeedbackResidual:
         residual = lead * v + proportional * e + i,    i <- clip(i + integral * dt * e, -scale, scale)
 
     e is the planner's target minus the hand's position, metres; v the velocity of the phase's object, m/s; both in the
-    object's heading frame, as the observation gives them at the start of a decision of dt seconds. The residual is a translation, metres;
-    it turns neither hand nor fingers. Then it is expressed in the residual's frame and clipped to the phase's scale. It
-    is zero for a hand that has always been on its target, with the object at rest or no lead.
+    object's heading frame, as the observation at the start of a decision of dt seconds gives them. The residual is a
+    translation, metres; it turns neither hand nor fingers. Then it is expressed in the residual's frame and clipped to
+    the phase's scale. It is zero for a hand that has always been on its target, with the object at rest or no lead.
 
     Args:
         env: The env in which it acts.

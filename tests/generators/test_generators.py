@@ -9,7 +9,7 @@ from dynaforge.demos import Episode
 from dynaforge.demos.schema import validate_steps
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import ConstantResidual, ExploringPolicy, Oracle, PlannerOnly, ResidualGenerator
-from dynaforge.generators.oracle import PhaseResidual, _policy
+from dynaforge.generators.oracle import FeedbackResidual, PhaseResidual, _policy
 from dynaforge.geometry import matrix_from_quat, matrix_from_rotvec
 from dynaforge.planning import ArmKinematics
 from dynaforge.sim import Condition, franka
@@ -141,8 +141,8 @@ def test_the_oracle_is_at_least_as_good_as_the_planner(env: ResidualEnv) -> None
         assert best.generator == "oracle"
 
 
-def test_the_oracle_finds_what_some_constant_residual_can_win(env: ResidualEnv) -> None:
-    """The planner misses this can; one of the first constant residuals lifts it."""
+def test_the_oracle_wins_what_the_planner_misses(env: ResidualEnv) -> None:
+    """The planner misses this can; one of the first residuals with feedback lifts it."""
     missed = condition(1, 4)
     assert not PlannerOnly().attempt(env, missed).success
     found = Oracle(m=64).attempt(env, missed)
@@ -150,18 +150,75 @@ def test_the_oracle_finds_what_some_constant_residual_can_win(env: ResidualEnv) 
     assert found.steps["residual_action"].any()
 
 
-def test_every_other_residual_of_the_oracle_is_redrawn_for_each_phase(env: ResidualEnv) -> None:
+def test_the_oracle_tries_three_kinds_of_residual_in_turn(env: ResidualEnv) -> None:
     which = condition(1, 4)
-    zero, constant, redrawn = (_policy(k, env, which) for k in range(3))
+    zero, constant, redrawn, feedback, *others = (_policy(k, env, which) for k in range(7))
     assert isinstance(zero, ConstantResidual)
     assert isinstance(constant, ConstantResidual)
     assert isinstance(redrawn, PhaseResidual)
+    assert isinstance(feedback, FeedbackResidual)
+    assert [type(each) for each in others] == [ConstantResidual, PhaseResidual, FeedbackResidual]
     assert not zero.action.any()
     assert constant.action.any()
     assert len(np.unique(redrawn.actions, axis=0)) == len(env.task.phases)
     env.reset(options={"condition": which})
     np.testing.assert_array_equal(redrawn(np.zeros(1, np.float32)), redrawn.actions[env.executor.index])
-    np.testing.assert_array_equal(_policy(2, env, which).actions, redrawn.actions)  # type: ignore[attr-defined]
+
+
+def test_the_draws_of_the_oracle_depend_on_condition_and_place_alone(env: ResidualEnv) -> None:
+    def drawn(k: int, which: Condition) -> list[float]:
+        policy = _policy(k, env, which)
+        return list(policy.gains) if isinstance(policy, FeedbackResidual) else policy.actions.tolist()  # type: ignore[attr-defined]
+
+    here, there = condition(1, 4), condition(2, 3)
+    for k in (2, 3):
+        assert drawn(k, here) == drawn(k, here)
+        assert drawn(k, here) != drawn(k + 3, here)
+        assert drawn(k, here) != drawn(k, there)
+    hashes = {ResidualGenerator(_policy(3, env, here)).attempt(env, here).content_hash() for _ in range(2)}
+    assert len(hashes) == 1
+
+
+def seen(env: ResidualEnv, **parts: tuple[float, float, float]) -> np.ndarray:
+    """Return an observation of zeros, but for the given vectors in SI units."""
+    observation, at = np.zeros(env.observer.size, np.float32), 0
+    for name, size, scale in env.observer.layout:
+        if (value := parts.get(name.removesuffix("[0]"))) is not None:
+            observation[at : at + size] = np.array(value) / scale
+        at += size
+    return observation
+
+
+def test_feedback_is_nothing_for_a_hand_on_its_target_and_never_more_than_the_scale(env: ResidualEnv) -> None:
+    env.reset(options={"condition": LIFTED})
+    feedback = FeedbackResidual(env, proportional=1.0, integral=5.0, lead=0.2)
+    for _ in range(3):
+        assert not feedback(seen(env)).any()
+    for _ in range(100):
+        far = feedback(seen(env, plan_from_ee=(1.0, -1.0, 1.0), object_velocity=(9.0, -9.0, 9.0)))
+        assert env.action_space.contains(far)
+    np.testing.assert_allclose(far[:3], (1.0, -1.0, 1.0), atol=1e-6)
+    # The sum was held at the scale, so that it takes one decision to come back: 5 / s * 0.1 s * 0.6 m > 2 * 0.15 m.
+    back = feedback(seen(env, plan_from_ee=(-0.6, 0.0, 0.0)))
+    assert back[0] == -1.0
+
+
+def test_feedback_adds_lead_offset_and_its_integral_in_metres(env: ResidualEnv) -> None:
+    """Worked by hand: e = 10, -4, 6 mm, v = 0.1 m/s, 0.1 s a decision; 20 and 25 mm ahead, of 150 mm."""
+    env.reset(options={"condition": LIFTED})
+    observation = seen(env, plan_from_ee=(0.010, -0.004, 0.006), object_velocity=(0.1, 0.0, 0.0))
+    feedback = FeedbackResidual(env, proportional=0.5, integral=5.0, lead=0.1, upward=False)
+    assert env.task.residual.translation == (0.15, 0.06, 0.15)
+    np.testing.assert_allclose(feedback(observation), (0.020 / 0.15, -0.004 / 0.06, 0, 0, 0), atol=1e-6)
+    np.testing.assert_allclose(feedback(observation), (0.025 / 0.15, -0.006 / 0.06, 0, 0, 0), atol=1e-6)
+
+
+def test_feedback_sees_the_offset_of_the_hand_from_the_planners_target(env: ResidualEnv) -> None:
+    observation, _ = env.reset(options={"condition": LIFTED})
+    offset = env.executor.action.target.pose.position - env.world.state.ee.position
+    np.testing.assert_allclose(
+        env.executor.frame.rotation @ env.observer.read("plan_from_ee", observation), offset, atol=1e-6
+    )
 
 
 def test_generators_survive_pickling() -> None:

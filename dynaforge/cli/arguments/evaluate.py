@@ -46,7 +46,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--oracle-tries",
         type=WholeNumber(),
-        help="random residuals per condition, half constant, half redrawn for each phase, for oracle (default 64)",
+        help="random residuals per condition for oracle: constant, redrawn for each phase, with feedback (default 64)",
     )
     parser.add_argument("--sigma", type=Number(0.0, 100.0), help="noise, for the generator exploring (default 0.25)")
     add_workers(parser)
