@@ -14,6 +14,7 @@ from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition, SimScene
 from dynaforge.sim.bullet import pybullet as p
+from dynaforge.sim.probing import push_fingers
 from dynaforge.tasks import TASK_NAMES, get_task
 
 TASK = get_task("can")
@@ -36,15 +37,6 @@ def at_every_substep(scene: SimScene, monkeypatch: pytest.MonkeyPatch, push: Cal
 
     monkeypatch.setattr(scene, "_step_physics", pushed_step)
     return positions
-
-
-def push_fingers(scene: SimScene, forces: tuple[float, float]) -> None:
-    """Push the fingers outward for one substep, newtons; negative is inward."""
-    client, robot = scene._bullet.client, scene._bullet.robot
-    outward = scene.observe().ee.rotation[:, 1]
-    for finger, force, axis in zip(robot.fingers, forces, (outward, -outward), strict=True):
-        at = client.getLinkState(robot.body, finger)[0]
-        client.applyExternalForce(robot.body, finger, (force * axis).tolist(), at, p.WORLD_FRAME)
 
 
 @pytest.mark.parametrize("forces", [(70.0, 0.0), (0.0, 70.0), (70.0, 70.0), (140.0, 140.0), (-70.0, -70.0)])
