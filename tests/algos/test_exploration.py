@@ -15,7 +15,12 @@ from dynaforge.algos import FrontierGRPO
 from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 
 JOB = {"exploration": "job", "learning_rate": 1e-2, "batch_size": 8, "resample_max": 1}
-KINDS = [{}, {"use_sde": True}, {"use_sde": True, "sde_sample_freq": 2}]
+SDE = {"use_sde": True}
+KINDS = [
+    pytest.param({}, marks=pytest.mark.slow),
+    SDE,
+    pytest.param(SDE | {"sde_sample_freq": 2}, marks=pytest.mark.slow),
+]
 uneven = partial(envs, short_when_easy=True)
 
 
@@ -39,6 +44,7 @@ def test_discrete_actions_do_not_either():
     assert equal(weights(model(1)), weights(model(3)))
 
 
+@pytest.mark.slow
 def test_worker_processes_do_not_either():
     vector = SharedMemoryVecEnv([MatchEnv] * 4, n_workers=2)
     try:

@@ -86,7 +86,7 @@ class PushesOut(gym.Env):
 
 def furthest(**kwargs) -> float:
     options = {"learning_rate": 0.05, "group_filter": "none", "n_groups": 4, "group_size": 8} | kwargs
-    model = small(DummyVecEnv([PushesOut] * 8), **options).learn(32 * 10)
+    model = small(DummyVecEnv([PushesOut] * 8), **options).learn(32 * 6)
     return float(reach(model.policy.get_distribution(th.ones(1, 3)), model.action_space).detach().max())
 
 
