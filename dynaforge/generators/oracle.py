@@ -26,9 +26,9 @@ class Oracle:
 
     It is found by search: a condition that it wins can be won within the residual's scale, by one of three simple kinds
     of policy; one that it loses may be won by a better policy or a longer search. In turn the residuals are constant,
-    redrawn for each phase (both uniform within the scale), and with feedback (`FeedbackResidual`), whose gains are
-    drawn. The draws depend on the condition and on their place in the series alone, so more of them succeed wherever
-    fewer do. It knows the outcome of every try before it chooses, so it must not collect.
+    redrawn for each phase (both uniform within the scale), and with feedback (`FeedbackResidual`), of whose terms each
+    is drawn or left out. The draws depend on the condition and on their place in the series alone, so more of them
+    succeed wherever fewer do. It knows the outcome of every try before it chooses, so it must not collect.
 
     Attributes:
         m: Number of residuals tried, M.
@@ -81,6 +81,7 @@ class FeedbackResidual:
     object's heading frame, as the observation at the start of a decision of dt seconds gives them. The residual is a
     translation, metres; it turns neither hand nor fingers. Then it is expressed in the residual's frame and clipped to
     the phase's scale. It is zero for a hand that has always been on its target, with the object at rest or no lead.
+    A constant residual may be added to it; the sum is clipped again.
 
     Args:
         env: The env in which it acts.
@@ -88,12 +89,21 @@ class FeedbackResidual:
         integral: Metres of residual per metre of offset and second.
         lead: Seconds by which the hand aims ahead of the object.
         upward: Whether the vertical part acts too.
+        constant: The residual that is added, in units of its scale, shape (d,).
     """
 
     def __init__(
-        self, env: ResidualEnv, *, proportional: float, integral: float, lead: float, upward: bool = True
+        self,
+        env: ResidualEnv,
+        *,
+        proportional: float,
+        integral: float,
+        lead: float,
+        upward: bool = True,
+        constant: float | Array = 0.0,
     ) -> None:
         self._env = env
+        self._constant = constant
         self.gains = (proportional, integral, lead)
         self._axes = np.array((1.0, 1.0, float(upward)))
         self._scale = np.array(env.task.residual.translation)
@@ -107,7 +117,8 @@ class FeedbackResidual:
         self._sum = (self._sum + integral * self._dt * offset).clip(-self._scale, self._scale)
         env, residual = self._env, np.zeros(7)
         residual[:3] = env.executor.frame.rotation @ (lead * velocity + proportional * offset + self._sum)
-        return env.residual_scale.nearest_action(residual, env.executor).astype(np.float32)
+        action: Array = self._constant + env.residual_scale.nearest_action(residual, env.executor)
+        return action.clip(-1.0, 1.0).astype(np.float32)
 
     def _seen(self, name: str, observation: NDArray[np.float32]) -> Array:
         """Return a vector of the observation, SI units, without its vertical part where that does not act."""
@@ -123,6 +134,14 @@ def _policy(k: int, env: ResidualEnv, condition: Condition) -> ResidualPolicy:
         return ConstantResidual(rng.uniform(-1.0, 1.0, shape).astype(np.float32))
     if k % 3 == 2:
         return PhaseResidual(env, rng.uniform(-1.0, 1.0, (len(env.task.phases), *shape)).astype(np.float32))
-    proportional, integral, lead = rng.uniform(0.0, (MAX_PROPORTIONAL, MAX_INTEGRAL, MAX_LEAD))
-    leads, upward = rng.integers(2, size=2)
-    return FeedbackResidual(env, proportional=proportional, integral=integral, lead=lead * leads, upward=bool(upward))
+    # Each term is there or not: feedback wins where the hand must stay on something, a constant where it must block it.
+    *switches, upward = rng.integers(2, size=5)
+    proportional, integral, lead = switches[:3] * rng.uniform(0.0, (MAX_PROPORTIONAL, MAX_INTEGRAL, MAX_LEAD))
+    return FeedbackResidual(
+        env,
+        proportional=proportional,
+        integral=integral,
+        lead=lead,
+        upward=bool(upward),
+        constant=switches[3] * rng.uniform(-1.0, 1.0, shape),
+    )

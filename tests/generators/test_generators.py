@@ -142,7 +142,7 @@ def test_the_oracle_is_at_least_as_good_as_the_planner(env: ResidualEnv) -> None
 
 
 def test_the_oracle_wins_what_the_planner_misses(env: ResidualEnv) -> None:
-    """The planner misses this can; one of the first residuals with feedback lifts it."""
+    """The planner misses this can; some residual lifts it."""
     missed = condition(1, 4)
     assert not PlannerOnly().attempt(env, missed).success
     found = Oracle(m=64).attempt(env, missed)
@@ -166,9 +166,9 @@ def test_the_oracle_tries_three_kinds_of_residual_in_turn(env: ResidualEnv) -> N
 
 
 def test_the_draws_of_the_oracle_depend_on_condition_and_place_alone(env: ResidualEnv) -> None:
-    def drawn(k: int, which: Condition) -> list[float]:
-        policy = _policy(k, env, which)
-        return list(policy.gains) if isinstance(policy, FeedbackResidual) else policy.actions.tolist()  # type: ignore[attr-defined]
+    def drawn(k: int, which: Condition) -> str:
+        policy = vars(_policy(k, env, which))
+        return str({name: value for name, value in policy.items() if name != "_env"})
 
     here, there = condition(1, 4), condition(2, 3)
     for k in (2, 3):
@@ -198,6 +198,10 @@ def test_feedback_is_nothing_for_a_hand_on_its_target_and_never_more_than_the_sc
         far = feedback(seen(env, plan_from_ee=(1.0, -1.0, 1.0), object_velocity=(9.0, -9.0, 9.0)))
         assert env.action_space.contains(far)
     np.testing.assert_allclose(far[:3], (1.0, -1.0, 1.0), atol=1e-6)
+    constant = np.full(env.action_space.shape, -0.5)
+    still = FeedbackResidual(env, proportional=1.0, integral=5.0, lead=0.2, constant=constant)
+    np.testing.assert_array_equal(still(seen(env)), constant)
+    assert env.action_space.contains(still(seen(env, plan_from_ee=(-1.0, -1.0, -1.0))))
     # The sum was held at the scale, so that it takes one decision to come back: 5 / s * 0.1 s * 0.6 m > 2 * 0.15 m.
     back = feedback(seen(env, plan_from_ee=(-0.6, 0.0, 0.0)))
     assert back[0] == -1.0
