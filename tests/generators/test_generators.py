@@ -198,7 +198,7 @@ def test_feedback_is_nothing_for_a_hand_on_its_target_and_never_more_than_the_sc
         far = feedback(seen(env, plan_from_ee=(1.0, -1.0, 1.0), object_velocity=(9.0, -9.0, 9.0)))
         assert env.action_space.contains(far)
     np.testing.assert_allclose(far[:3], (1.0, -1.0, 1.0), atol=1e-6)
-    constant = np.full(env.action_space.shape, -0.5)
+    constant = np.full(env.residual_scale.size, -0.5)
     still = FeedbackResidual(env, proportional=1.0, integral=5.0, lead=0.2, constant=constant)
     np.testing.assert_array_equal(still(seen(env)), constant)
     assert env.action_space.contains(still(seen(env, plan_from_ee=(-1.0, -1.0, -1.0))))
