@@ -2,10 +2,8 @@
 
 dynaforge collect --task can --policy runs/can-1/policy.safetensors --demos 200 --out data/can
 dynaforge render data/can --no-images --points 256
-python examples/train_an_imitator.py data/can      # about four minutes on one core
+python examples/train_an_imitator.py data/can      # about four minutes; so few updates seldom win a moving can
 dynaforge evaluate --task can --learner examples/train_an_imitator.py:load --observations data/can/observations
-
-It shows the path from points to actions. So few updates of so small a network seldom succeed at a moving can.
 """
 
 import argparse
