@@ -1,12 +1,13 @@
 """Measure and draw the contact force on the robot during one grasp of the planner.
 
+    python docs/grasp_forces.py survey physics=fixed                         # the slow cans to choose from
     python docs/grasp_forces.py measure docs/forces/now.csv physics=fixed    # the package as it is now
     python docs/grasp_forces.py draw docs/forces                             # before.csv and now.csv -> grasp.svg
 
 `before.csv` is from the same script run in a checkout of commit 130d055, without `physics=fixed`, which it does not
-know: its motors push with all the torque that the robot has, and nothing stops it. The can is the 34th of the stream
-`val`, block 0, with 8 strata. Of the first ten slow cans there, nine are grasped before and now, and this one has the
-median ratio of peak forces.
+know: its motors push with all the torque that the robot has, and nothing stops it. The can is the first of the stream
+`val`, block 0, with 8 strata. Of the ten slow cans of the survey, eight were grasped before, six are now and before,
+and of those six this one has the third-greatest ratio of the peak now to the peak before.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 
 import dynaforge  # noqa: F401  (registers the envs)
 
-INDEX, STRATA = 33, 8
+INDEX, STRATA = 0, 8
 HEADER = ("time, s", "net contact force, N")
 THRESHOLDS = {"contact": 100, "standard": 40, "strict": 20}  # newtons
 SUBSTEPS = 8  # in a control step of Can
@@ -34,12 +35,15 @@ def net_force(contacts: list[tuple[Any, ...]]) -> float:
     return float(np.linalg.norm(np.sum(forces, axis=0)))
 
 
-def measure(out: Path, **env_kwargs: Any) -> None:
-    """Write the net contact force on the robot at every substep of the planner's grasp.
+def grasp(index: int, **env_kwargs: Any) -> tuple[bool, list[float], float]:
+    """Run the planner on one can of the stream.
 
     Args:
-        out: The file, CSV.
+        index: Its place in the stream.
         **env_kwargs: Further arguments of the env.
+
+    Returns:
+        Whether it was grasped, the net contact force on the robot at every substep (N), and a substep's length (s).
     """
     env: Any = gymnasium.make("DynaForge/Can-v0", gate_mode="mask", **env_kwargs).unwrapped
     scene = env.world.scene
@@ -53,15 +57,27 @@ def measure(out: Path, **env_kwargs: Any) -> None:
 
     scene._step_physics = step_and_measure
     stream = env.condition_sampler.stream("val", n_strata=STRATA)
-    env.reset(options={"condition": next(islice(stream, INDEX, None))})
+    env.reset(options={"condition": next(islice(stream, index, None))})
     forces.clear()  # of the substeps that made the reset
     done = False
     while not done:
         _, _, done, _, info = env.step(np.zeros(env.action_space.shape, np.float32))
-    dt = env.task.scene.physics_dt
     env.close()
-    if not info["is_success"]:
-        raise SystemExit(f"The planner does not grasp this can: {info['failure']}.")
+    return info["is_success"], forces, env.task.scene.physics_dt
+
+
+def survey(**env_kwargs: Any) -> None:
+    """Print how the first ten slow cans of the stream end, those of its two slowest strata, and the peak forces."""
+    for index in (k for k in range(5 * STRATA) if k % STRATA < 2):
+        success, forces, _ = grasp(index, **env_kwargs)
+        print(f"{index:2}: {'grasped' if success else 'missed '}, at most {max(forces):3.0f} N")
+
+
+def measure(out: Path, **env_kwargs: Any) -> None:
+    """Write the net contact force on the robot at every substep of the planner's grasp."""
+    success, forces, dt = grasp(INDEX, **env_kwargs)
+    if not success:
+        raise SystemExit("The planner does not grasp this can.")
     with out.open("w", newline="") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(HEADER)
@@ -96,6 +112,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["measure", out, *pairs]:
             measure(Path(out), **dict(pair.split("=", 1) for pair in pairs))
+        case ["survey", *pairs]:
+            survey(**dict(pair.split("=", 1) for pair in pairs))
         case ["draw", folder]:
             draw(Path(folder))
         case _:
