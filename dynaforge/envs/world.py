@@ -104,7 +104,13 @@ class World:
         return self._first_gate if self.scene.saved is not None and self.scene.saved is self._saved else None
 
     def restore(self) -> None:
-        """Go back to `first_gate`, from which the same actions give the same bits every time."""
+        """Go back to `first_gate`, from which the same actions give the same bits every time.
+
+        Real sensing is not taken back: its draws and what it remembers go on.
+
+        Raises:
+            RuntimeError: No gate has opened in this condition.
+        """
         self.scene.restore()
         put_back([*self._memory, (self, self._own)])
         self.local.restore(self.reference)

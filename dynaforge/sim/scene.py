@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import combinations
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +201,10 @@ class SimScene:
     def close(self) -> None:
         """Disconnect from physics; safe to call more than once."""
         self._bullet.client.disconnect()
+
+    def __reduce__(self) -> NoReturn:
+        # Copying the client, and dropping the copy, would disconnect this scene as well.
+        raise TypeError("A scene cannot be copied or pickled: make another, and reset it to the same condition.")
 
     # ---------------------------------------------------------------- observation
 

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import copy
+import pickle
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -244,3 +247,10 @@ def test_fingers_are_measured_one_by_one(scene: SimScene) -> None:
 
 def test_a_scene_is_shown_on_one_line(scene: SimScene) -> None:
     assert repr(scene.reset(CONDITION)) == "SceneState(0.000 s, can, hand 80 mm open)"
+
+
+@pytest.mark.parametrize("make", [copy.deepcopy, copy.copy, pickle.dumps])
+def test_a_scene_that_cannot_be_copied_says_so_and_goes_on(make: Callable[[SimScene], object], scene: SimScene) -> None:
+    with pytest.raises(TypeError, match="reset it to the same condition"):
+        make(scene)
+    scene.observe()
