@@ -24,7 +24,7 @@ from dynaforge.sampling.vector_env import SharedMemoryVecEnv, WorkerDied
 from dynaforge.tasks import Task
 
 MAX_OVERHEAD = 20e-6  # CPU seconds per step of an env, beyond the env's own
-MIN_GAIN = 1.7  # times one env's throughput, with two workers
+MIN_GAIN, MIN_OWN_GAIN = 1.7, 1.75  # times one env's throughput, with two workers; the second of a task's own env
 MAX_ERROR_SECONDS, MAX_CLOSE_SECONDS = 5.0, 2.0
 KILL_AFTER = 0.15  # seconds into the rollout
 
@@ -66,9 +66,9 @@ def vectorised(
         ),
         Figure(
             title=f"throughput over one {task.env_name} env, {size}",
-            target=">= 1.7",
+            target=">= 1.75",
             measured=spread(own_gains),
-            ok=median(own_gains) >= MIN_GAIN,
+            ok=median(own_gains) >= MIN_OWN_GAIN,
             raw={"ratio": own_gains, "cpu_seconds_beside_one_env": own_costs},
         ),
     ]

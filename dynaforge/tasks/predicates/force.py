@@ -53,8 +53,8 @@ class Gently:
 class Struck:
     """The robot presses on the object other than with its fingers, or on another part of a fixture.
 
-    It tells a click of the fingertips from one by the palm or with a push against the housing. No task fails by it: a
-    real robot does not stop at a brush, and a hard blow trips the force reflex in every task.
+    It tells a click of the fingertips from one by the palm or with a push against the housing, which is no success. It
+    ends no episode: a real robot does not stop at a brush, and a hard blow trips the force reflex in every task.
     """
 
     object: ObjectName
