@@ -88,7 +88,7 @@ class MlpPolicyFile:
 
     @staticmethod
     def of(model: BaseAlgorithm, *, task: str | Named, meta: Mapping[str, Any] | None = None) -> MlpPolicyFile:
-        """Take the policy out of a trained SB3 on-policy model with "MlpPolicy".
+        """Take the policy out of a trained model with "MlpPolicy": FrontierGRPO, ResidualSAC or SB3's on-policy ones.
 
         What stood between model and env is read off its env: one that `PPO.load` read without its env must have been
         trained without VecNormalize.

@@ -108,6 +108,7 @@ def collection(task: Task, *, rounds: int = 5) -> list[Figure]:
     shares = []
     try:
         model = build_model(task.name, env)
+        assert isinstance(model, OnPolicyAlgorithm)
         _, callback = model._setup_learn(10**9, None)
         for _ in tracked(range(rounds), "collection", total=rounds):
             before, start = sum(env.get_attr("cpu")), time.perf_counter()

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
 from dynaforge.generators.by_name import policy_for
 from dynaforge.tasks import Task
 from dynaforge.training.forge_folder import ForgeFolder
 from dynaforge.training.history import TrainingHistory
-from dynaforge.training.model import decaying_within, save_model, training_env
+from dynaforge.training.model import ALGORITHMS, decaying_within, save_model, training_env
 from dynaforge.training.monitor import TimeLimit
 from dynaforge.training.settings import hyperparameters
 from dynaforge.training.stored_training import HISTORY, StoredTraining
@@ -52,7 +53,7 @@ def train(
     settings = hyperparameters(algo, task.name)
     env = training_env(task, settings["n_envs"], algo=algo, cores=workers)
     try:
-        counting = {} if algo == "ppo" else {"timesteps": "gated"}
+        counting = {"timesteps": "gated"} if ALGORITHMS[algo] is FrontierGRPO else {}
         training = StoredTraining(path, task, env, algo=algo, seed=seed, **counting)
         if training.resumed:
             print(f"      resuming after {len(training.history)} updates")

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3 import PPO
-from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from dynaforge.algos import FrontierGRPO
 from dynaforge.algos.policy_file import MlpPolicyFile
+from dynaforge.algos.residual_sac import ResidualSAC
 from dynaforge.envs.residual_env import GateMode, ResidualEnv
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
@@ -22,7 +23,12 @@ from dynaforge.sampling.vector_env import SharedMemoryVecEnv
 from dynaforge.tasks import Task
 from dynaforge.training.settings import hyperparameters, model_arguments
 
-ALGORITHMS: dict[str, type[OnPolicyAlgorithm]] = {"frontier_grpo": FrontierGRPO, "grpo": FrontierGRPO, "ppo": PPO}
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
+    "frontier_grpo": FrontierGRPO,
+    "grpo": FrontierGRPO,
+    "ppo": PPO,
+    "residual_sac": ResidualSAC,
+}
 
 
 def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores: int = 2) -> VecEnv:
@@ -30,8 +36,8 @@ def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores:
 
     On several cores there are two workers per core, so that one with less to do leaves its share of the core to the
     others. FrontierGRPO collects in mask mode, where no env's long lift stalls the others: it ignores steps without
-    effect, and with `timesteps="gated"` counts as under "skip"; PPO would learn from them. On one core everything runs
-    in this process, where nothing can stall.
+    effect, and with `timesteps="gated"` counts as under "skip"; PPO would learn from them, and SAC count them. On one
+    core everything runs in this process, where nothing can stall.
 
     Args:
         task: The task.
@@ -45,9 +51,7 @@ def training_env(task: Task, n_envs: int, *, algo: str = "frontier_grpo", cores:
     return SharedMemoryVecEnv([partial(ResidualEnv, task, gate_mode=gate_mode)] * n_envs, n_workers=2 * cores)
 
 
-def build_model(
-    task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any
-) -> OnPolicyAlgorithm:
+def build_model(task: str, env: Any, *, algo: str = "frontier_grpo", seed: int = 0, **changes: Any) -> BaseAlgorithm:
     """Build the model that zoo_configs describes.
 
     Args:
@@ -62,7 +66,7 @@ def build_model(
 
 
 @contextlib.contextmanager
-def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iterator[None]:
+def decaying_within(model: BaseAlgorithm, used: Callable[[], float]) -> Iterator[None]:
     """Let every schedule of a model follow the larger of two shares: of the steps taken, and of a budget used.
 
     Stable-Baselines3 knows only the steps. How many of them a time budget allows is not known beforehand, so that a
@@ -85,7 +89,7 @@ def decaying_within(model: OnPolicyAlgorithm, used: Callable[[], float]) -> Iter
         del vars(model)[by_steps.__name__]
 
 
-def policy_file(model: OnPolicyAlgorithm, task: Task, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
+def policy_file(model: BaseAlgorithm, task: Task, *, algo: str, seed: int, updates: int) -> MlpPolicyFile:
     """Take the policy out of a model, with a note of how it was trained.
 
     Args:
@@ -99,7 +103,7 @@ def policy_file(model: OnPolicyAlgorithm, task: Task, *, algo: str, seed: int, u
     return MlpPolicyFile.of(model, task=task, meta=meta)
 
 
-def save_model(model: OnPolicyAlgorithm, path: Path) -> None:
+def save_model(model: BaseAlgorithm, path: Path) -> None:
     """Write a model as an SB3 zip file, whole or not at all."""
     buffer = io.BytesIO()
     model.save(buffer)

@@ -11,13 +11,22 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from dynaforge.algos import FrontierGRPO
+from dynaforge.algos.residual_sac import ResidualSAC
+from dynaforge.geometry import Array
 from dynaforge.tasks import ConditionSpace, Outcome
+from dynaforge.training.checkpoint import optimizers_of
 from dynaforge.training.history import STRATA, TrainingHistory
 from dynaforge.training.sparkline import sparkline
 
+UPDATE_OF_SAC = 2000
+"""Environment steps that count as one update of SAC, which has none: about as many as the others take for theirs."""
+
 
 class TrainingMonitor(BaseCallback):
-    """Keeps the history of a run of any on-policy algorithm.
+    """Keeps the history of a run.
+
+    An update is a rollout and the optimisation after it. SAC takes turns at every step: `UPDATE_OF_SAC` of them are
+    one update.
 
     Args:
         history: Filled during training; that of a resumed run contains what came before.
@@ -37,19 +46,26 @@ class TrainingMonitor(BaseCallback):
         self._conditions = conditions
         self._between_updates = between_updates
         self._optimizer_steps = history.optimizer_steps[-1] if history.optimizer_steps else 0
-        self._collected = self._continues = True
+        self._collected = self._under_way = False
+        self._continues = True
 
     def _on_training_start(self) -> None:
-        self._collected = False
+        self._collected = self._under_way = False
+        self._steps = UPDATE_OF_SAC if isinstance(self.model, ResidualSAC) else 1
 
         def count(*_: Any) -> None:
             self._optimizer_steps += 1
 
-        self._hook = self.model.policy.optimizer.register_step_post_hook(count)
+        counted = next(iter(optimizers_of(self.model).values()))
+        self._hook = counted.register_step_post_hook(count)
 
     def _on_rollout_start(self) -> None:
         self._close_update()
+        if self._under_way:
+            return
         self._successes, self._trials = np.zeros(STRATA, int), np.zeros(STRATA, int)
+        self._collecting, self._optimising = np.zeros(2), np.zeros(2)
+        self._begun, self._under_way = self.num_timesteps, True
         self._continues = self._between_updates(len(self.history))
         self._clock = time.perf_counter(), time.process_time()
 
@@ -64,8 +80,14 @@ class TrainingMonitor(BaseCallback):
         return self._continues
 
     def _on_rollout_end(self) -> None:
+        self._collecting += self._lap()
+        if self.num_timesteps - self._begun >= self._steps:
+            self._note_collection()
+
+    def _note_collection(self) -> None:
+        """Add to the history what was collected in this update."""
         history, model = self.history, self.model
-        wall, cpu = self._lap()
+        wall, cpu = self._collecting.round(4).tolist()
         history.successes.append(self._successes.tolist())
         history.trials.append(self._trials.tolist())
         history.collect_wall.append(wall)
@@ -78,28 +100,32 @@ class TrainingMonitor(BaseCallback):
         self._collected = True
 
     def _on_training_end(self) -> None:
+        if self._under_way and self._continues and not self._collected and self.num_timesteps > self._begun:
+            self._note_collection()  # SAC ends wherever its steps are used up
         self._close_update()
         self._hook.remove()
         if self._continues:
             self._between_updates(len(self.history))
 
     def _close_update(self) -> None:
-        """Add to the history what the optimisation after the last collection took."""
+        """Count the time of the latest optimisation; add it to the history if the update has collected its steps."""
+        if not self._under_way:
+            return
+        self._optimising += self._lap()
         if not self._collected:
             return
         history = self.history
-        wall, cpu = self._lap()
+        wall, cpu = self._optimising.round(4).tolist()
         history.optimize_wall.append(wall)
         history.optimize_cpu.append(cpu)
         history.optimizer_steps.append(self._optimizer_steps)
         history.transitions_used.append(getattr(self.model, "transitions_used", self.num_timesteps))
-        self._collected = False
+        self._collected = self._under_way = False
 
-    def _lap(self) -> tuple[float, float]:
+    def _lap(self) -> Array:
         """Return wall and CPU seconds since the last call."""
         before, self._clock = self._clock, (time.perf_counter(), time.process_time())
-        wall, cpu = (now - then for now, then in zip(self._clock, before, strict=True))
-        return round(wall, 4), round(cpu, 4)
+        return np.subtract(self._clock, before)
 
 
 class TimeLimit:

@@ -21,6 +21,9 @@ NOT_VARIED = {
 WHOLE_SETTINGS = {name: (least, why) for name, least, why in WHOLE_NUMBERS} | {
     "n_envs": (1, "episodes run in them"),
     "n_steps": (1, "an update needs a step"),
+    "update_ratio": (1, "critics learn from what was collected"),
+    "learning_starts": (0, "it is a number of environment steps"),
+    "buffer_size": (1, "a batch is drawn from it"),
 }
 SHARES = ("gamma", "gae_lambda")
 NUMBER_SETTINGS = ("learning_rate", "clip_range", "clip_range_high", "ent_coef", "vf_coef", "max_grad_norm", *SHARES)

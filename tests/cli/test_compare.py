@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli import compare
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
@@ -15,6 +16,7 @@ from dynaforge.demos import Episode
 from dynaforge.sim import Condition
 from dynaforge.sim.setting import Setting
 from dynaforge.tasks import Outcome
+from dynaforge.training import monitor
 from dynaforge.training import run as runs
 from dynaforge.training.history import TrainingHistory
 from dynaforge.training.matrix import check_variants
@@ -154,6 +156,34 @@ def test_a_run_that_was_cut_off_ends_as_if_it_had_not_been(tmp_path: Path, monke
         assert getattr(histories[0], name) == getattr(histories[1], name), name
     assert histories[0].timesteps[-1] >= 300
     assert [probe.update for probe in histories[0].probes][:2] == [0, 2]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(170)
+def test_a_run_of_sac_has_updates_resumes_and_leaves_a_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs, "SAVED_EVERY", 1)
+    monkeypatch.setattr(monitor, "UPDATE_OF_SAC", 40)
+    changes = {"learning_starts": 60, "update_ratio": 1, "n_envs": 4, "batch_size": 8}
+    spec = tiny(tmp_path, variant="sac", algo="residual_sac", changes=changes, steps=120)
+
+    def cut_off(**what: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "report_progress", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            runs.train(spec)
+    assert (spec.folder / CHECKPOINT).is_file()
+    runs.train(spec)
+    assert spec.finished
+    history = TrainingHistory.load(spec.folder / "history.json")
+    assert history.timesteps == [40, 80, 120]
+    assert history.optimizer_steps[0] == 0, "the planner's steps"
+    assert 0 < history.optimizer_steps[2] <= 60, "one for each step once an episode has ended"
+    assert all(len(row) == 3 for row in (history.successes, history.collect_cpu, history.optimize_cpu))
+    assert history.optimize_cpu[2] > history.optimize_cpu[0]
+    assert history.probes[0].update == 0
+    assert MlpPolicyFile.load(spec.folder / "policy.safetensors").squash_mean
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path: Path) -> None:
