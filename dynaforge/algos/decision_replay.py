@@ -14,7 +14,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from dynaforge.geometry import Array
+from dynaforge.geometry import Array, one_line
 
 ROWS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -38,6 +38,8 @@ class Decision:
     reward: float
     done: bool
     info: dict[str, Any]
+
+    __repr__ = one_line
 
 
 class DecisionReplay(ReplayBuffer):
