@@ -56,6 +56,12 @@ class KeptTransitions:
             weights=self.weights[index],
         )
 
+    def in_order(self, size: int | None) -> Iterator[KeptTransitions]:
+        """Split into parts of this size, of which the last may be smaller; None takes all at once."""
+        size = size or max(1, len(self))
+        for start in range(0, len(self), size):
+            yield self.rows(slice(start, start + size))
+
     def minibatches(self, parts: int, rng: np.random.Generator) -> Iterator[KeptTransitions]:
         """Shuffle and split into this many parts; a single part stays in order."""
         n = len(self)

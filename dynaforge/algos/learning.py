@@ -80,7 +80,7 @@ def learned_state(model: Any) -> dict[str, Array]:
     """Return what a FrontierGRPO has learned besides its weights, by name: what a training checkpoint keeps of it."""
     state: dict[str, Array] = {} if model.desired_kl is None else {"rate_factor": np.array([model.rate_factor])}
     if model.stratum_record is not None:
-        state |= {name: getattr(model.stratum_record, name) for name in ("wins", "losses", "waits")}
+        state |= {name: getattr(model.stratum_record, name) for name in StratumRecord.__slots__}
     return state
 
 
@@ -93,7 +93,7 @@ def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
     if model.desired_kl is not None:
         model.rate_factor = float(state["rate_factor"][0])
     if model.stratum_record is not None:
-        model.stratum_record = StratumRecord(*(np.array(state[name]) for name in ("wins", "losses", "waits")))
+        model.stratum_record = StratumRecord(*(np.array(state[name]) for name in StratumRecord.__slots__))
 
 
 def _log_rim(model: Any, results: GroupResults) -> None:

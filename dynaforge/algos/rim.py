@@ -69,9 +69,8 @@ def rim_fraction(policy: ActorCriticPolicy, decisions: KeptTransitions, batch_si
         decisions: The decisions.
         batch_size: How many to evaluate at a time; None all at once.
     """
-    size, found = batch_size or max(1, len(decisions)), 0
-    for start in range(0, len(decisions), size):
-        part = decisions.rows(slice(start, start + size))
+    found = 0
+    for part in decisions.in_order(batch_size):
         found += int((reach(policy.get_distribution(part.observations), policy.action_space) >= RIM).any(dim=1).sum())
     return found / len(decisions) if len(decisions) else math.nan
 

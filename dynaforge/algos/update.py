@@ -195,8 +195,7 @@ def _loss(
 def _distance(policy: ActorCriticPolicy, kept: KeptTransitions, batch_size: int | None) -> float:
     """Return the mean estimate of KL(old || new) over the kept transitions."""
     total = 0.0
-    for start in range(0, len(kept), batch_size or len(kept)):
-        part = kept.rows(slice(start, start + (batch_size or len(kept))))
+    for part in kept.in_order(batch_size):
         log_prob = policy.get_distribution(part.observations).log_prob(part.actions)
         total += float(estimated_kl(log_prob, part.log_probs).sum())
     return total / len(kept)

@@ -18,6 +18,7 @@ from dynaforge.envs.world import ControlStep, World
 from dynaforge.geometry import Array, Pose
 from dynaforge.planning import ArmKinematics, LocalPlanner
 from dynaforge.sim import Condition, HandTarget, Launch, SceneState, SimScene
+from dynaforge.sim.hand_target import TIP
 from dynaforge.sim.loads import Loads
 from dynaforge.sim.probing import at_every_substep, blind, push_hand
 from dynaforge.sim.reflex import THRESHOLDS
@@ -27,7 +28,6 @@ from dynaforge.tasks.targets import DOWN_ALONG_Y
 MAX_PRESS = 80.0  # newtons, steady
 PRESS_DEPTH = 0.025  # metres past the contact
 PRESSED_AT = ((0.35, -0.25), (0.45, 0.0), (0.6, -0.1))  # x and y on the table, metres
-FINGERTIPS = 0.007  # metres that the fingertips reach beyond the origin of the end-effector frame
 APPROACH_STEPS, PRESS_STEPS, HELD_STEPS, STEADY_STEPS = 45, 15, 30, 10  # of those held, the last are steady
 MAX_WATCHING_SHARE = 0.09  # of the CPU time: 0.70 instead of 0.77 of the bare simulator's control steps
 STOPPED_AT, BORNE = 200.0, 50.0  # newtons that must stop the robot, and that must not
@@ -61,7 +61,7 @@ class PressingHand:
 
     def move(self, height: float) -> SceneState:
         """Move for one control step toward a height of the fingertips above the table, metres."""
-        target = Pose(DOWN_ALONG_Y, np.array((self._x, self._y, height + FINGERTIPS)))
+        target = Pose(DOWN_ALONG_Y, np.array((self._x, self._y, height + TIP)))
         reference = self._local.track(HandTarget(target, 0.0))
         return self.scene.step(reference.joints.q, reference.width)
 

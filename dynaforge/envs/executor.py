@@ -19,7 +19,7 @@ from dynaforge.tasks.success import Hold
 from dynaforge.tasks.view import PhaseView, ViewTracker
 from dynaforge.tasks.words import evaluate_predicate, evaluate_target
 
-LAG = 2 / 30  # seconds by which the hand trails its target: two control steps
+TRAILING = 2  # control steps by which the hand trails its target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +184,7 @@ class PhaseExecutor:
             self._frozen = until is not None and self._holds("track_until", until, view)
         target = self._ramped(self._target, self._steps + 1)
         if phase.ramp is not None:  # waits for a hand that trails: it would dive after a target that is far below
-            target = raised_to(target, float(seen.state.ee.position[2]) - phase.ramp * LAG)
+            target = raised_to(target, float(seen.state.ee.position[2]) - phase.ramp * TRAILING * self._dt)
         self.action = PlannedAction(HandTarget(target, phase.width), phase.gate, self.index, sample, lowest)
 
     def _now(self) -> Pose:

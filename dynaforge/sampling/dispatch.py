@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -95,7 +95,7 @@ class EpisodeDispatcher:
         self._stack = WrapperStack(env)
         self._route = choose_route(self._stack.base)
         self._idle_actions = np.stack([idle_action(env.action_space)] * self.n_envs)
-        self._pending: list[Job] = []
+        self._pending: dict[Group, deque[Job]] = {}  # in the order in which groups were submitted
         self._job: list[Job | None] = [None] * self.n_envs
         self._group: list[Group | None] = [None] * self.n_envs  # of the latest job of each row
         self._acting = np.zeros(self.n_envs, dtype=bool)
@@ -144,7 +144,8 @@ class EpisodeDispatcher:
         if self.busy:
             raise RuntimeError("Earlier jobs are still running; step until `busy` is False, or call `release`.")
         self.ticks = self.idle_rows = 0
-        self._pending.extend(jobs)
+        for job in jobs:
+            self._pending.setdefault(job.group, deque()).append(job)
         self._hand_out()
         self._start_rows()
 
@@ -191,12 +192,13 @@ class EpisodeDispatcher:
             self._starting[row] = True
 
     def _next_job(self, row: int) -> Job:
-        left = Counter(job.group for job in self._pending)
-        group = self._group[row]
-        if group not in left:
-            group = next((each for each in left if each not in self._group), left.most_common(1)[0][0])
-        job = next(job for job in self._pending if job.group is group)
-        self._pending.remove(job)
+        pending, group = self._pending, self._group[row]
+        if group is None or group not in pending:
+            most_left = max(pending, key=lambda each: len(pending[each]))
+            group = next((each for each in pending if each not in self._group), most_left)
+        job = pending[group].popleft()
+        if not pending[group]:
+            del pending[group]
         self._group[row] = group
         return job
 
