@@ -81,6 +81,7 @@ class _Step(NamedTuple):
     observations: Observations
     actions: NDArray[Any]
     log_probs: NDArray[np.float32]
+    at_rim: NDArray[np.bool_]
     mask: NDArray[np.bool_]
     groups: NDArray[np.int64]
     rollouts: NDArray[np.int64]
@@ -98,6 +99,7 @@ class GroupRolloutBuffer(BaseBuffer):
         observations: What the policy saw, once finished, shape (n, ...), or a dict of such.
         actions: What it sampled, n rows.
         log_probs: Of those actions, shape (n,).
+        at_rim: Whether the mean that an action was sampled around lay at the rim of the action box, shape (n,).
         mask: Whether the action had an effect, shape (n,).
         groups: Index of the transition's group, shape (n,).
         rollouts: Index of its rollout within the group, shape (n,).
@@ -106,6 +108,7 @@ class GroupRolloutBuffer(BaseBuffer):
     observations: Observations
     actions: NDArray[Any]
     log_probs: NDArray[np.float32]
+    at_rim: NDArray[np.bool_]
     mask: NDArray[np.bool_]
     groups: NDArray[np.int64]
     rollouts: NDArray[np.int64]
@@ -133,6 +136,7 @@ class GroupRolloutBuffer(BaseBuffer):
         obs: Observations,
         actions: NDArray[Any],
         log_probs: NDArray[np.float32],
+        at_rim: NDArray[np.bool_],
         mask: NDArray[np.bool_],
         jobs: Sequence[Job],
     ) -> None:
@@ -142,12 +146,13 @@ class GroupRolloutBuffer(BaseBuffer):
             obs: What the policy saw, n rows, array or dict.
             actions: What it sampled, before clipping to the action space, n rows.
             log_probs: Of those actions, shape (n,).
+            at_rim: Whether the mean that each was sampled around lay at the rim of the action box, shape (n,).
             mask: Whether the action had an effect ("residual_mask"), shape (n,).
             jobs: Whose step each row is, n jobs.
         """
         groups = np.array([job.group.index for job in jobs])
         rollouts = np.array([job.rollout for job in jobs])
-        self._steps.append(_Step(obs, actions, log_probs, mask, groups, rollouts))
+        self._steps.append(_Step(obs, actions, log_probs, at_rim, mask, groups, rollouts))
         self.pos += len(jobs)
 
     def size(self) -> int:
@@ -163,7 +168,8 @@ class GroupRolloutBuffer(BaseBuffer):
         order = np.lexsort((joined.rollouts, joined.groups))
         self.observations = take_rows(joined.observations, order)
         self.actions, self.log_probs = joined.actions[order], joined.log_probs[order]
-        self.mask, self.groups, self.rollouts = joined.mask[order], joined.groups[order], joined.rollouts[order]
+        self.at_rim, self.mask = joined.at_rim[order], joined.mask[order]
+        self.groups, self.rollouts = joined.groups[order], joined.rollouts[order]
         self.full = True
         self._steps = []
 

@@ -129,7 +129,7 @@ def run_jobs(
     n_steps = 0
     while dispatcher.busy:
         obs = dispatcher.obs
-        sampled, values, log_probs = act(model, dispatcher, n_steps=n_steps, key=settings.noise_key)
+        sampled, values, log_probs, at_rim = act(model, dispatcher, n_steps=n_steps, key=settings.noise_key)
         actions = sampled.cpu().numpy()
         # The env takes the clipped action; the buffer keeps the sampled one, whose log-probability is known.
         clipped_actions = env_actions(actions, model.policy)
@@ -146,7 +146,14 @@ def run_jobs(
             return None
         model._update_info_buffer(infos, dones)
         n_steps += 1
-        rollout_buffer.add(take_rows(obs, rows), actions[rows], log_probs.cpu().numpy()[rows], mask, acting)
+        rollout_buffer.add(
+            take_rows(obs, rows),
+            actions[rows],
+            log_probs.cpu().numpy()[rows],
+            at_rim.cpu().numpy()[rows],
+            mask,
+            acting,
+        )
         for episode in tick.finished:
             require_success(episode, settings.readers)
         episodes += tick.finished

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch as th
 from stable_baselines3.common.distributions import StateDependentNoiseDistribution
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.common.utils import obs_as_tensor
 
 from dynaforge.algos.policies import renew_noise
+from dynaforge.algos.rim import has_rim, means_at_rim
 from dynaforge.sampling.dispatch import EpisodeDispatcher
 from dynaforge.sampling.vec_wrappers import take_rows
 
-Acted = tuple[th.Tensor, th.Tensor, th.Tensor]
-"""Actions, values and log-probabilities, one row per env."""
+
+class Acted(NamedTuple):
+    """What a policy sampled, one row per env.
+
+    Attributes:
+        actions: Actions, shape (n, ...).
+        values: Values, shape (n, 1).
+        log_probs: Log-probabilities of the actions, shape (n,).
+        at_rim: Whether the mean lay at the rim of the action box, shape (n,); False where there is no rim.
+    """
+
+    actions: th.Tensor
+    values: th.Tensor
+    log_probs: th.Tensor
+    at_rim: th.Tensor
 
 
 @th.no_grad()
@@ -33,8 +50,13 @@ def act(model: OnPolicyAlgorithm, dispatcher: EpisodeDispatcher, *, n_steps: int
         # One noise matrix per episode; with `sde_sample_freq`, new ones for all rows every so many steps.
         all_rows = model.sde_sample_freq > 0 and n_steps % model.sde_sample_freq == 0
         renew_noise(model.policy, np.arange(dispatcher.n_envs) if all_rows else dispatcher.newly_started)
-    actions, values, log_probs = model.policy(obs_as_tensor(dispatcher.obs, model.device))
-    return actions, values, log_probs
+    return _sample(model.policy, obs_as_tensor(dispatcher.obs, model.device))
+
+
+def _sample(policy: ActorCriticPolicy, obs: PyTorchObs) -> Acted:
+    actions, values, log_probs = policy(obs)
+    at_rim = means_at_rim(policy) if has_rim(policy) else th.zeros_like(log_probs, dtype=th.bool)
+    return Acted(actions, values, log_probs, at_rim)
 
 
 def _act_by_job(model: OnPolicyAlgorithm, dispatcher: EpisodeDispatcher, key: tuple[int, int]) -> Acted:
@@ -55,10 +77,9 @@ def _act_by_job(model: OnPolicyAlgorithm, dispatcher: EpisodeDispatcher, key: tu
                 _take_matrix(
                     policy, row, renew=step == 0 or (model.sde_sample_freq > 0 and not step % model.sde_sample_freq)
                 )
-            found.append(policy(obs_as_tensor(take_rows(dispatcher.obs, slice(row, row + 1)), model.device)))
+            found.append(_sample(policy, obs_as_tensor(take_rows(dispatcher.obs, slice(row, row + 1)), model.device)))
     rows = th.as_tensor([row for row, _, _ in acted], device=model.device)
-    actions, values, log_probs = (_spread(th.cat(parts), rows, dispatcher.n_envs) for parts in zip(*found, strict=True))
-    return actions, values, log_probs
+    return Acted(*(_spread(th.cat(parts), rows, dispatcher.n_envs) for parts in zip(*found, strict=True)))
 
 
 def _take_matrix(policy: ActorCriticPolicy, row: int, *, renew: bool) -> None:

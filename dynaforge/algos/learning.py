@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,7 +13,7 @@ from dynaforge.algos.adaptive_rate import followed
 from dynaforge.algos.advantages import group_advantages
 from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.group_results import GroupResults
-from dynaforge.algos.rim import has_rim, rim_fraction
+from dynaforge.algos.rim import has_rim
 from dynaforge.algos.update import UpdateReport, UpdateSettings, update_policy
 from dynaforge.geometry import Array
 from dynaforge.sampling.frontier_strata import StratumRecord
@@ -31,7 +32,7 @@ def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, Upda
     # Eq. 8 comes before Eq. 7: with scale_advantage="batch" the deviation is then that of the groups that take part,
     # and does not shrink when many others earn equal returns throughout.
     keep = results.kept(model.group_filter)
-    _log_rim(model, results)
+    _log_rim(model)
     advantages = np.zeros_like(results.returns)
     success = None if results.success is None else results.success[keep]
     advantages[keep] = group_advantages(results.returns[keep], scale=model.scale_advantage, success=success)
@@ -44,6 +45,7 @@ def learn_from(model: Any, results: GroupResults) -> tuple[KeptTransitions, Upda
     report = update_policy(model.policy, kept, settings, rng=model.minibatch_rng, anchors=anchors)
     if model.desired_kl is not None:
         # An update that overshoots and returns went far too, which only the mean over its steps shows.
+        assert report.update_kl is not None
         went = max(report.update_kl, report.approx_kl)
         model.rate_factor = followed(model.rate_factor, went, model.desired_kl)
     return kept, report
@@ -96,13 +98,13 @@ def restore_learned_state(model: Any, state: Mapping[str, Array]) -> None:
         model.stratum_record = StratumRecord(*(np.array(state[name]) for name in StratumRecord.__slots__))
 
 
-def _log_rim(model: Any, results: GroupResults) -> None:
-    """Record the share of the iteration's decisions whose mean was at the rim of the action box."""
+def _log_rim(model: Any) -> None:
+    """Record the share of the iteration's decisions whose mean was at the rim of the action box; NaN without any."""
     if has_rim(model.policy):
-        decisions = model.rollout_buffer.keep(
-            np.ones(len(results.returns), dtype=bool), np.zeros(results.returns.shape)
-        )
-        model.logger.record("train/rim_fraction", rim_fraction(model.policy, decisions, model.batch_size))
+        buffer = model.rollout_buffer
+        decisions = int(buffer.mask.sum())
+        at_rim = int((buffer.at_rim & buffer.mask).sum())
+        model.logger.record("train/rim_fraction", at_rim / decisions if decisions else math.nan)
 
 
 def _anchors(model: Any, results: GroupResults, keep: NDArray[np.bool_]) -> KeptTransitions | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch as th
 from gymnasium import spaces
@@ -14,8 +12,6 @@ from stable_baselines3.common.distributions import (
 )
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import nn
-
-from dynaforge.algos.buffer import KeptTransitions
 
 RIM = 0.99  # of the way from the centre of the box to its bound
 
@@ -61,18 +57,13 @@ def rim_penalty(distribution: Distribution, space: spaces.Space) -> th.Tensor:
 
 
 @th.no_grad()
-def rim_fraction(policy: ActorCriticPolicy, decisions: KeptTransitions, batch_size: int | None) -> float:
-    """Return the share of decisions for which some component of the mean is at the rim or beyond; NaN without any.
+def means_at_rim(policy: ActorCriticPolicy) -> th.Tensor:
+    """Return for which rows some component of the mean is at the rim or beyond, shape (n,).
 
     Args:
-        policy: A policy that `has_rim`.
-        decisions: The decisions.
-        batch_size: How many to evaluate at a time; None all at once.
+        policy: A policy that `has_rim`, and has just sampled actions: the rows are theirs.
     """
-    found = 0
-    for part in decisions.in_order(batch_size):
-        found += int((reach(policy.get_distribution(part.observations), policy.action_space) >= RIM).any(dim=1).sum())
-    return found / len(decisions) if len(decisions) else math.nan
+    return (reach(policy.action_dist, policy.action_space) >= RIM).any(dim=1)
 
 
 class WithinBox(nn.Module):

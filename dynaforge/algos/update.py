@@ -31,6 +31,7 @@ class UpdateSettings:
     anchor_coef: float
     rim_coef: float
     target_kl: float | None
+    desired_kl: float | None
     max_grad_norm: float
 
     @staticmethod
@@ -53,6 +54,7 @@ class UpdateSettings:
             anchor_coef=model.anchor_coef,
             rim_coef=model.rim_coef,
             target_kl=model.target_kl,
+            desired_kl=model.desired_kl,
             max_grad_norm=model.max_grad_norm,
         )
 
@@ -65,7 +67,8 @@ class UpdateReport:
         loss: Whole loss.
         policy_gradient_loss: Its surrogate part.
         approx_kl: KL(old || new), estimated on the kept transitions.
-        update_kl: The same at the end of the update: how far it went.
+        update_kl: The same at the end of the update: how far it went. Costs another pass over the transitions, so that
+            it is measured only where the rate follows it (`desired_kl`), else None.
         clip_fraction: Share of ratios outside the clip range.
         n_epochs: Epochs begun.
         optimizer_steps: Steps taken.
@@ -76,7 +79,7 @@ class UpdateReport:
     loss: float
     policy_gradient_loss: float
     approx_kl: float
-    update_kl: float
+    update_kl: float | None
     clip_fraction: float
     n_epochs: int
     optimizer_steps: int
@@ -84,11 +87,11 @@ class UpdateReport:
     std: float | None
 
     def log(self, logger: Logger) -> None:
-        """Record losses, rate and noise under train/, named as SB3's PPO names them."""
-        for name in ("learning_rate", "loss", "policy_gradient_loss", "approx_kl", "update_kl", "clip_fraction"):
-            logger.record(f"train/{name}", getattr(self, name))
-        if self.std is not None:
-            logger.record("train/std", self.std)
+        """Record losses, rate and noise under train/, named as SB3's PPO names them; nothing for what is None."""
+        names = ("learning_rate", "loss", "policy_gradient_loss", "approx_kl", "update_kl", "clip_fraction", "std")
+        for name in names:
+            if (value := getattr(self, name)) is not None:
+                logger.record(f"train/{name}", value)
 
 
 def update_policy(
@@ -147,7 +150,7 @@ def update_policy(
         loss=mean_loss,
         policy_gradient_loss=surrogate,
         approx_kl=kl,
-        update_kl=_distance(policy, kept, settings.batch_size),
+        update_kl=None if settings.desired_kl is None else _distance(policy, kept, settings.batch_size),
         clip_fraction=outside,
         n_epochs=epochs,
         optimizer_steps=steps,

@@ -54,7 +54,7 @@ def test_the_updates_come_to_the_desired_divergence(monkeypatch):
 
 
 def test_the_divergence_of_an_update_is_that_between_the_policies_before_and_after(logged):
-    model = small(envs(4), group_filter="none", batch_size=7, learning_rate=1e-2)
+    model = small(envs(4), group_filter="none", batch_size=7, learning_rate=1e-2, desired_kl=0.01)
     values = logged(model)
     model.learn(1)
     kept = model.rollout_buffer.keep(np.ones(4, dtype=bool), np.zeros((4, 4)))
@@ -64,6 +64,11 @@ def test_the_divergence_of_an_update_is_that_between_the_policies_before_and_aft
     model.learn(1, reset_num_timesteps=False)  # dumps what the first update logged
     assert values["train/update_kl"] == pytest.approx(expected, rel=1e-4)
     assert expected > 0
+    unused = small(envs(4), group_filter="none")
+    values = logged(unused)
+    unused.learn(1)
+    unused.learn(1, reset_num_timesteps=False)
+    assert "train/update_kl" not in values, "another pass over the transitions, only to be logged"
 
 
 def test_a_saved_model_keeps_its_rate(tmp_path):

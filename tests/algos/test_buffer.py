@@ -20,7 +20,8 @@ def filled(schedule: list[list[tuple[int, int]]]) -> GroupRolloutBuffer:
         numbers, times = np.array(step).T
         jobs = [JOBS[number] for number in numbers]
         obs = (10.0 * numbers + times)[:, None]
-        buffer.add(obs, np.zeros((len(jobs), 2), np.float32), obs[:, 0].astype(np.float32), times % 3 != 2, jobs)
+        log_probs = obs[:, 0].astype(np.float32)
+        buffer.add(obs, np.zeros((len(jobs), 2), np.float32), log_probs, times % 2 == 1, times % 3 != 2, jobs)
     buffer.finish()
     return buffer
 
@@ -36,6 +37,8 @@ def test_order_does_not_depend_on_which_env_ran_a_job():
     np.testing.assert_array_equal(a.rollouts, [0, 0, 1, 1, 1, 0, 1, 1, 1, 1])
     np.testing.assert_array_equal(a.log_probs, b.log_probs)
     np.testing.assert_array_equal(a.mask, b.mask)
+    np.testing.assert_array_equal(a.at_rim, b.at_rim)
+    np.testing.assert_array_equal(a.at_rim, a.observations[:, 0] % 10 % 2 == 1)
 
 
 def test_only_gated_transitions_of_kept_groups_are_used():

@@ -283,7 +283,7 @@ NAMES = [
             "loss",
             "policy_gradient_loss",
             "approx_kl",
-            "update_kl",
+            "rim_fraction",
             "clip_fraction",
             "learning_rate",
             "std",

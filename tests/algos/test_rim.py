@@ -10,9 +10,8 @@ from small_models import envs, small, weights
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynaforge.algos import FrontierGRPO
-from dynaforge.algos.buffer import KeptTransitions
 from dynaforge.algos.policies import CriticFreePolicy
-from dynaforge.algos.rim import has_rim, reach, rim_fraction, rim_penalty
+from dynaforge.algos.rim import has_rim, means_at_rim, reach, rim_penalty
 
 OBS = gym.spaces.Box(-1.0, 1.0, (3,), np.float32)
 BOX = gym.spaces.Box(np.array([-1.0, 0.0], np.float32), np.array([1.0, 4.0], np.float32))
@@ -27,33 +26,29 @@ def policy_with_mean(mean: list[float], **kwargs) -> CriticFreePolicy:
     return policy
 
 
-def decisions(n: int) -> KeptTransitions:
-    ones = th.ones(n)
-    return KeptTransitions(
-        observations=th.zeros(n, 3), actions=th.zeros(n, 2), log_probs=ones, advantages=ones, weights=ones
-    )
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("mean", "at_rim", "penalty"),
     # the second component reaches from 0 to 4: 5 lies half of its half size outside, -1 as well
-    zip(MEANS, (0.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.25, 1.25), strict=True),
+    zip(MEANS, (False, True, True, True), (0.0, 0.0, 0.25, 1.25), strict=True),
 )
 def test_rim_and_penalty_match_means_worked_by_hand(mean, at_rim, penalty, kind):
     policy = policy_with_mean(mean, **kind)
-    assert rim_fraction(policy, decisions(5), 2) == at_rim
+    if kind:
+        policy.reset_noise(5)
+    policy(th.zeros(5, 3))
+    assert means_at_rim(policy).tolist() == 5 * [at_rim]
     np.testing.assert_allclose(rim_penalty(policy.get_distribution(th.zeros(3, 3)), BOX).detach(), 3 * [penalty])
 
 
-def test_a_share_counts_decisions_and_not_components():
+def test_a_row_is_at_the_rim_if_any_component_is():
     policy = CriticFreePolicy(OBS, BOX, lambda _: 1e-3, net_arch=[])
     with th.no_grad():
         policy.action_net.weight.copy_(th.tensor([[1.0, 0.0, 0.0], [4.0, 0.0, 0.0]]))
-    part = decisions(4)
-    part.observations[:, 0] = th.tensor([0.2, 0.8, 1.0, 0.9])  # means (x, 4x), at the rim from 0.99 and 0.995
-    assert rim_fraction(policy, part, None) == 0.25
-    assert np.isnan(rim_fraction(policy, decisions(0), None))
+    observations = th.zeros(4, 3)
+    observations[:, 0] = th.tensor([0.2, 0.8, 1.0, 0.9])  # means (x, 4x), at the rim from 0.99 and 0.995
+    policy(observations)
+    assert means_at_rim(policy).tolist() == [False, False, True, False]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -108,6 +103,41 @@ def test_the_share_at_the_rim_is_logged_for_the_policy_that_acted(logged):
         model.policy.action_net.bias.fill_(-3.0)
     values = logged(model)
     model.learn(1)
+    model.learn(1, reset_num_timesteps=False)
+    assert values["train/rim_fraction"] == 1.0
+
+
+class HalfGated(gym.Env):
+    """Two steps: observation 0 with the gate closed, then observation 1 with it open if an episode's number is even."""
+
+    observation_space, action_space = OBS, gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+    episodes = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps, self.episodes = 0, self.episodes + 1
+        return np.zeros(3, np.float32), {}
+
+    def step(self, action):
+        self.steps += 1
+        gate = float(self.steps == 2 and self.episodes % 2 == 0)
+        return np.ones(3, np.float32), float(action[0]), self.steps == 2, False, {"residual_mask": gate}
+
+
+@pytest.mark.parametrize("exploration", ["stream", "job"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_share_at_the_rim_counts_decisions_with_an_effect_alone(kind, exploration, logged):
+    policy_kwargs = {"net_arch": []}
+    model = small(
+        DummyVecEnv([HalfGated] * 3), group_filter="none", exploration=exploration, policy_kwargs=policy_kwargs, **kind
+    )
+    with th.no_grad():
+        model.policy.action_net.weight.fill_(
+            -1.0
+        )  # the mean is 0 where the gate is closed, and -3 where it may be open
+    values = logged(model)
+    model.learn(1)
+    assert 0 < model.rollout_buffer.mask.mean() < 0.5
     model.learn(1, reset_num_timesteps=False)
     assert values["train/rim_fraction"] == 1.0
 

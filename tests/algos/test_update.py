@@ -49,6 +49,7 @@ def settings(**changes: float) -> UpdateSettings:
         anchor_coef=0.0,
         rim_coef=0.0,
         target_kl=None,
+        desired_kl=None,
         max_grad_norm=0.5,
     )
     return replace(plain, **changes)
