@@ -112,17 +112,12 @@ def limit_use(trajectory: JointTrajectory, robot: RobotDescription, collision: C
         collision: What it may collide with.
     """
     q, dq, ddq, dt = trajectory.q, trajectory.dq, trajectory.ddq, trajectory.dt
-    slopes, changes = np.diff(q, axis=0) / dt, np.diff(dq, axis=0) / dt
+    shares, changes = reference_shares(q, dq, robot, dt=dt), np.diff(dq, axis=0) / dt
     hits = [collision.in_collision(point) for point in _densely_sampled(q)]
     first_free = hits.index(False) if hits[0] and False in hits else 0
     return LimitUse(
         position=float(np.maximum(robot.q_lower - q, q - robot.q_upper).max()),
-        velocity=float(
-            max(
-                robot.speed_limits.share(q, dq).max(),
-                robot.speed_limits.share((q[:-1] + q[1:]) / 2, slopes).max(initial=0.0),
-            )
-        ),
+        velocity=float(max(robot.speed_limits.share(q[:1], dq[:1]).max(), shares.max(initial=0.0))),
         acceleration=float((np.abs(np.concatenate((ddq, changes))) / robot.ddq_max).max()),
         collisions=sum(hits[first_free:]),
         started_in_collision=hits[0],
