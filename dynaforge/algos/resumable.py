@@ -70,18 +70,21 @@ class ResumableAlgorithm(OnPolicyAlgorithm):
         total_timesteps: int,
         callback: MaybeCallback = None,
         log_interval: int = 1,
-        tb_log_name: str = "FrontierGRPO",
+        tb_log_name: str | None = None,
         reset_num_timesteps: bool = True,
         progress_bar: bool = False,
     ) -> Self:
         """Train for at least `total_timesteps`, in whole iterations; arguments as in SB3.
+
+        Without `tb_log_name`, TensorBoard shows the run under the name of the class.
 
         Raises:
             ValueError: `total_timesteps` below 1, NaN or infinite, or `log_interval` below 1.
             TypeError: Either is no number.
         """
         check_learn_arguments(total_timesteps, log_interval)
-        return super().learn(total_timesteps, callback, log_interval, tb_log_name, reset_num_timesteps, progress_bar)
+        name = type(self).__name__ if tb_log_name is None else tb_log_name
+        return super().learn(total_timesteps, callback, log_interval, name, reset_num_timesteps, progress_bar)
 
     def _setup_learn(
         self, total_timesteps: int, callback: MaybeCallback = None, reset_num_timesteps: bool = True, *args: Any

@@ -402,3 +402,15 @@ def test_infinite_ratio_is_refused_before_the_optimizer_moves():
     with pytest.raises(FloatingPointError, match="ratio of 1 of"):
         model.learn(1, callback=Spoil())
     assert equal(before, weights(model))
+
+
+class Renamed(FrontierGRPO):
+    """A subclass of its own name."""
+
+
+@pytest.mark.parametrize(("given", "run"), [({}, "Renamed_1"), ({"tb_log_name": "mine"}, "mine_1")])
+def test_tensorboard_shows_a_run_under_the_name_of_its_class_unless_one_is_given(tmp_path, given, run):
+    pytest.importorskip("tensorboard")
+    model = Renamed("MlpPolicy", envs(2), n_groups=1, group_size=2, device="cpu", tensorboard_log=str(tmp_path))
+    model.learn(1, **given)
+    assert [path.name for path in tmp_path.iterdir()] == [run]
