@@ -1,4 +1,4 @@
-"""rl_zoo3's own scripts with FrontierGRPO and the DynaForge envs registered.
+"""rl_zoo3's own scripts with our algorithms and the DynaForge envs registered.
 
 rl_zoo3 parses flags, logs and saves as usual. The modules:
 
@@ -6,6 +6,6 @@ rl_zoo3 parses flags, logs and saves as usual. The modules:
 - `flags`: the flags of its scripts, read from their source.
 - `checks` and `refusals`: end a command in one line before anything is created.
 - `envs`: tasks by name and file, and the hyperparameters that `forge` and `compare` use.
-- `algorithm`: FrontierGRPO for training, loading and hyperparameter search.
+- `algorithm`: our algorithms for training, loading and hyperparameter search.
 - `process`: what is replaced in rl_zoo3 and Stable-Baselines3 while a script runs, and put back afterwards.
 """

@@ -1,4 +1,4 @@
-"""FrontierGRPO in rl_zoo3: under two names, with default hyperparameters and a range to search them in."""
+"""Our algorithms in rl_zoo3, with default hyperparameters and a range to search them in."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import yaml
 from dynaforge.training import settings
 from dynaforge.zoo.flags import SCRIPTS
 
-ALGORITHMS = ("frontier_grpo", "grpo")
+OF_FRONTIER_GRPO = ("frontier_grpo", "grpo")
 """Names under which rl_zoo3 finds FrontierGRPO; "grpo" is the vanilla variant by its zoo_configs file alone."""
+
+ALGORITHMS = (*OF_FRONTIER_GRPO, "residual_sac")
+"""Names of our algorithms in rl_zoo3: the files of zoo_configs, but for those of algorithms that it has itself."""
 
 NET_ARCHS = {"small": [64, 64], "medium": [128, 128], "large": [256, 256]}
 
 
 def register_with_zoo() -> None:
-    """Make FrontierGRPO known to rl_zoo3, for training, loading and hyperparameter search.
+    """Make our algorithms known to rl_zoo3, for training, loading and hyperparameter search.
 
     rl_zoo3 imports its dictionaries by name in several modules, so they are changed in place, never replaced.
 
@@ -31,12 +34,13 @@ def register_with_zoo() -> None:
         raise SystemExit(
             f"dynaforge: {', '.join(SCRIPTS)} need {error.name}, missing here; pip install 'dynaforge[zoo]'"
         ) from error
-    from dynaforge.algos import FrontierGRPO
+    from dynaforge.training import model
 
     for name in ALGORITHMS:
-        ALGOS[name] = FrontierGRPO
-        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters
-        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters
+        ALGOS[name] = model.ALGORITHMS[name]
+        group = name in OF_FRONTIER_GRPO
+        HYPERPARAMS_SAMPLER[name] = sample_hyperparameters if group else sample_residual_sac
+        HYPERPARAMS_CONVERTER[name] = convert_hyperparameters if group else convert_residual_sac
 
 
 def config_file(algo: str, env_id: str) -> Path | None:
@@ -80,7 +84,37 @@ def convert_hyperparameters(sampled: dict[str, Any]) -> dict[str, Any]:
     """Turn sampled values into constructor arguments: the learning rate decays, noise and net_arch go to the policy."""
     from stable_baselines3.common.utils import LinearSchedule
 
+    options = convert_residual_sac(sampled)
+    decaying = LinearSchedule(start=options.pop("learning_rate"), end=0.0, end_fraction=1.0)
+    return {**options, "learning_rate": decaying}
+
+
+def sample_residual_sac(trial: Any, n_actions: int, n_envs: int, additional_args: dict[str, Any]) -> dict[str, Any]:
+    """Sample the options of ResidualSAC for an Optuna trial.
+
+    Args:
+        trial: The Optuna trial.
+        n_actions: Components of an action; not used, as are the others.
+        n_envs: Envs of the vectorised env.
+        additional_args: What rl_zoo3 passes to samplers of off-policy algorithms.
+
+    Returns:
+        Arguments of the constructor.
+    """
+    return convert_residual_sac(
+        {
+            "learning_rate": trial.suggest_float("learning_rate", 1e-4, 1e-3, log=True),
+            "update_ratio": trial.suggest_categorical("update_ratio", [1, 2, 4]),
+            "batch_size": trial.suggest_categorical("batch_size", [128, 256, 512]),
+            "tau": trial.suggest_float("tau", 0.002, 0.02, log=True),
+            "log_std_init": trial.suggest_float("log_std_init", -3.0, -0.7),
+            "net_arch": trial.suggest_categorical("net_arch", sorted(NET_ARCHS)),
+        }
+    )
+
+
+def convert_residual_sac(sampled: dict[str, Any]) -> dict[str, Any]:
+    """Turn sampled values into constructor arguments: noise and net_arch go to the policy."""
     options = dict(sampled)
     policy = {"log_std_init": options.pop("log_std_init"), "net_arch": NET_ARCHS[options.pop("net_arch")]}
-    decaying = LinearSchedule(start=options.pop("learning_rate"), end=0.0, end_fraction=1.0)
-    return {**options, "learning_rate": decaying, "policy_kwargs": policy}
+    return {**options, "policy_kwargs": policy}

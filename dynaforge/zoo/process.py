@@ -160,7 +160,7 @@ def _refusing_unknown_names(preprocess: Callable[[Any, dict[str, Any]], Any]) ->
         from rl_zoo3.utils import ALGOS
 
         processed = preprocess(manager, hyperparams)
-        known = [*inspect.signature(ALGOS[manager.algo].__init__).parameters, *ACTION_NOISE]
+        known = [*_options_of(ALGOS[manager.algo]), *ACTION_NOISE]
         if unknown := [name for name in processed[0] if name not in known]:
             close = difflib.get_close_matches(unknown[0], known, n=1, cutoff=0.5)
             hint = f" Did you mean {close[0]!r}?" if close else ""
@@ -168,6 +168,15 @@ def _refusing_unknown_names(preprocess: Callable[[Any, dict[str, Any]], Any]) ->
         return processed
 
     return _preprocess_hyperparams
+
+
+def _options_of(algorithm: type) -> Iterator[str]:
+    """Yield the names of an algorithm's options; one that takes others by **kwargs has those of its base class too."""
+    for kind in algorithm.__mro__:
+        parameters = inspect.signature(kind).parameters
+        yield from parameters
+        if not any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
+            return
 
 
 def _monitoring_success(create: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,10 +1,10 @@
 """The scripts of rl_zoo3 as commands: `dynaforge train`, `enjoy`, `record_video` and so on.
 
 Flags, log folders and output are rl_zoo3's own; a run is stored in `logs/<algo>/<env>_<run>/` unless `-f` is given. We
-add the algorithms "frontier_grpo" and "grpo", hyperparameters from `dynaforge.zoo_configs` where they list the env,
-worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the trained model,
-which `evaluate` and `collect` accept as `--policy`, and `--trusted`. Scripts that play a model look in `logs/`, where
-`train` writes, unless `-f` is given.
+add the algorithms "frontier_grpo", "grpo" and "residual_sac", hyperparameters from `dynaforge.zoo_configs` where they
+list the env, worker processes for the DynaForge envs unless `--vec-env` is given, `policy.safetensors` beside the
+trained model, which `evaluate` and `collect` accept as `--policy`, and `--trusted`. Scripts that play a model look in
+`logs/`, where `train` writes, unless `-f` is given.
 """
 
 from __future__ import annotations

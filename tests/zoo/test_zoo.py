@@ -17,11 +17,13 @@ import yaml
 
 from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.cli.main import main
-from dynaforge.training.settings import variants
+from dynaforge.training import model
+from dynaforge.training.settings import known_algorithms, variants
 from dynaforge.zoo import algorithm
 from dynaforge.zoo import scripts as zoo
 from dynaforge.zoo.flags import zoo_parser
-from dynaforge.zoo.process import ZooProcess
+from dynaforge.zoo.process import ZooProcess, _options_of
+from dynaforge.zoo.refusals import check_algorithm
 
 
 def run(*arguments: str) -> str:
@@ -310,12 +312,16 @@ def test_what_the_zoo_finds_in_the_process(
 ZOO_KEYS = {"n_timesteps", "n_envs", "env_kwargs", "env_wrapper", "vec_env_wrapper", "normalize", "callback"}
 
 
-@pytest.mark.parametrize("algo", ["frontier_grpo", "grpo", "ppo"])
-def test_every_configured_option_exists(algo: str) -> None:
+@pytest.mark.parametrize("algo", known_algorithms())
+def test_every_configuration_file_is_of_an_algorithm_of_the_zoo_and_its_options_exist(algo: str) -> None:
+    check_algorithm(algo)
     algorithm.register_with_zoo()
     from rl_zoo3 import ALGOS
+    from rl_zoo3.hyperparams_opt import HYPERPARAMS_CONVERTER, HYPERPARAMS_SAMPLER
 
-    constructor = set(inspect.signature(ALGOS[algo].__init__).parameters)
+    assert ALGOS[algo] is model.ALGORITHMS[algo]
+    assert algo in HYPERPARAMS_SAMPLER.keys() & HYPERPARAMS_CONVERTER.keys()
+    constructor = set(_options_of(ALGOS[algo]))
     for env_id, options in yaml.safe_load(files("dynaforge.zoo_configs").joinpath(f"{algo}.yml").read_text()).items():
         assert set(options) <= constructor | ZOO_KEYS, env_id
         assert options["policy"] in ALGOS[algo].policy_aliases
@@ -323,7 +329,9 @@ def test_every_configured_option_exists(algo: str) -> None:
 
 def test_vanilla_differs_from_the_papers_frontier_grpo_by_strata_and_filter_alone() -> None:
     folder = files("dynaforge.zoo_configs")
-    frontier, vanilla = (yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in algorithm.ALGORITHMS)
+    frontier, vanilla = (
+        yaml.safe_load(folder.joinpath(f"{name}.yml").read_text()) for name in algorithm.OF_FRONTIER_GRPO
+    )
     assert frontier.keys() == vanilla.keys()
     for env_id in frontier:
         frontier[env_id].pop("scale_learning_rate", None)
@@ -334,15 +342,20 @@ def test_vanilla_differs_from_the_papers_frontier_grpo_by_strata_and_filter_alon
 
 def test_sampled_hyperparameters_are_options_of_the_algorithm_and_its_policy() -> None:
     from dynaforge.algos import FrontierGRPO
+    from dynaforge.algos.residual_sac import ResidualSAC
 
     trial = SimpleNamespace(
         suggest_float=lambda name, low, high, log=False: high, suggest_categorical=lambda name, choices: choices[0]
     )
     sampled = algorithm.sample_hyperparameters(trial, n_actions=7, n_envs=1, additional_args={})
     assert set(sampled) <= set(inspect.signature(FrontierGRPO.__init__).parameters)
-    model = FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
+    built = FrontierGRPO("MlpPolicy", "Pendulum-v1", group_filter="mixed_return", **sampled)
     assert sampled["policy_kwargs"]["log_std_init"] == -0.7
-    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([3e-3, 1.5e-3, 0.0])
+    assert [built.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([3e-3, 1.5e-3, 0.0])
+    sampled = algorithm.sample_residual_sac(trial, n_actions=7, n_envs=1, additional_args={})
+    rival = ResidualSAC("MlpPolicy", "Pendulum-v1", **sampled)
+    assert (rival.update_ratio, rival.batch_size, rival.tau) == (1, 128, 0.02)
+    assert rival.actor.log_std_init == -0.7
 
 
 def zoo_process(folder: Path, *arguments: str) -> str:
@@ -368,6 +381,28 @@ def test_zoo_trains_and_saves_frontier_grpo(tmp_path: Path) -> None:
     run_folder = tmp_path / "logs" / "frontier_grpo" / "CartPole-v1_1"
     assert (run_folder / "CartPole-v1.zip").is_file()
     assert (run_folder / "CartPole-v1" / "config.yml").is_file()
+
+
+def test_zoo_trains_residual_sac_and_saves_its_policy(tmp_path: Path) -> None:
+    which = [
+        "--algo",
+        "residual_sac",
+        "--env",
+        "DynaForge/Can-v0",
+        "-f",
+        "logs",
+        "--device",
+        "cpu",
+        "--vec-env",
+        "dummy",
+    ]
+    small = ["-params", "n_envs:1", "learning_starts:4", "batch_size:8", "buffer_size:100"]
+    asked = ["-n", "24", "--seed", "1", "--num-threads", "1", "--eval-freq", "-1"]
+    trained = zoo_process(tmp_path, "train", *which, *asked, *small)
+    assert "zoo_configs/residual_sac.yml" in trained
+    policy = tmp_path / "logs" / "residual_sac" / "DynaForge-Can-v0_1" / "policy.safetensors"
+    assert MlpPolicyFile.load(policy, task="can").meta["algo"] == "residual_sac"
+    assert "Loading" in zoo_process(tmp_path, "enjoy", *which[:-4], "-n", "4", "--no-render", "--trusted")
 
 
 @pytest.mark.slow
