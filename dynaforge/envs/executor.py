@@ -54,16 +54,14 @@ class PhaseExecutor:
         task: The task whose program runs.
         planner: The planner for phases of mode "global".
         control_dt: Duration of a control step, seconds.
-        lead_time: Seconds of constant-velocity prediction; the paper's prior has none.
     """
 
     action: PlannedAction
 
-    def __init__(self, task: Task, planner: GlobalPlanner, *, control_dt: float, lead_time: float = 0.0) -> None:
+    def __init__(self, task: Task, planner: GlobalPlanner, *, control_dt: float) -> None:
         self.task = task
         self._planner = planner
         self._dt = control_dt
-        self._lead_time = lead_time
         self._steps = 0  # since the entry of the running phase
 
     def reset(
@@ -82,10 +80,10 @@ class PhaseExecutor:
         self._steps = 0
         self._spent = [0] * len(self.task.phases)  # control steps in each phase, in all its visits
         self._checkpoint = 0
-        self._true = ViewTracker(state, lead_time=self._lead_time)
+        self._true = ViewTracker(state, lead_time=self.task.lead_time)
         self._seen = self._true
         if sensed is not None and sensed is not state:
-            self._seen = ViewTracker(sensed, lead_time=self._lead_time)
+            self._seen = ViewTracker(sensed, lead_time=self.task.lead_time)
         self._enter(0, reference)
 
     def memory(self) -> Memory:

@@ -51,7 +51,8 @@ class ResidualEnv(WorldEnv):
             decisions differ in duration. "mask": every decision is a step, and `info["residual_mask"]` is 1 for those
             that count. Both give the same gated decisions.
         render_mode: None, "rgb_array" or "human".
-        lead_time: Seconds of constant-velocity prediction in the prior; the paper's prior has none.
+        lead_time: Seconds of constant-velocity prediction in the prior; None takes the task's own, which is 0 in the
+            paper. As the frame, it is part of the env's `task`, and so of its digest.
         residual_frame: "target" or "world"; None takes the task's own.
         reflex, physics, sensing: The setting, as `Setting` explains it; None takes the task's own.
         share_prefix: Whether an episode of the same condition as the one before goes back to the world at its first
@@ -70,7 +71,7 @@ class ResidualEnv(WorldEnv):
         *,
         gate_mode: GateMode = "skip",
         render_mode: RenderMode | None = None,
-        lead_time: float = 0.0,
+        lead_time: float | None = None,
         residual_frame: Frame | None = None,
         reflex: Reflex | None = None,
         physics: Physics | None = None,
@@ -79,16 +80,16 @@ class ResidualEnv(WorldEnv):
     ) -> None:
         check_flag("share_prefix", share_prefix)
         check_choice("gate_mode", gate_mode, GATE_MODES)
-        check_number("lead_time", lead_time, least=0.0)
         check_choice("residual_frame", residual_frame, (None, *FRAMES))
         task = task if isinstance(task, Task) else get_task(task)
         if residual_frame is not None:
             task = replace(task, residual=replace(task.residual, frame=residual_frame))
+        if lead_time is not None:
+            check_number("lead_time", lead_time, least=0.0)
+            task = replace(task, lead_time=lead_time)
         super().__init__(task, render_mode, reflex=reflex, physics=physics, sensing=sensing)
         self.gate_mode = gate_mode
-        self.executor = PhaseExecutor(
-            self.task, self.world.planner, control_dt=self.task.scene.control_dt, lead_time=lead_time
-        )
+        self.executor = PhaseExecutor(self.task, self.world.planner, control_dt=self.task.scene.control_dt)
         self.residual_scale = ResidualScale(self.task.residual)
         self.residual_frame = self.residual_scale.frame
         self.observer = ObservationBuilder(self.task, self.world.scene.robot, self.residual_scale.size)

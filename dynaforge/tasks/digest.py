@@ -47,6 +47,8 @@ def _digests(task: Task) -> tuple[str, str]:
     """Return the digest of a task's whole definition, and that of all but its setting."""
     if id(task) not in _known:
         in_any_setting = digest_of(task, "task")
+        if task.lead_time:  # nothing is added without it, so that what was made before it counted is still accepted
+            in_any_setting = digest_of((in_any_setting, task.lead_time), "lead time")
         whole = digest_of((in_any_setting, task.setting, task.conditions.hidden), "setting")
         _known[id(task)] = (task, (whole, in_any_setting))
     return _known[id(task)][1]
@@ -61,7 +63,7 @@ def digest_of(part: Any, name: str) -> str:
 
 
 _EXCLUDED: dict[type, tuple[str, ...]] = {
-    Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name", "setting"),
+    Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name", "setting", "lead_time"),
     ConditionSpace: ("units", "hidden"),
 }
 _PLAIN = (str, bytes, bool, int, float, np.generic, np.ndarray, tuple, list, Mapping, Enum, functools.partial)

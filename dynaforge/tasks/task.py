@@ -96,6 +96,7 @@ class Task:
             and the object by default.
         setting: When the robot stops, how far hidden physics varies and what is sensed. It determines the hidden ranges
             of `conditions`; `under` returns the same task in another setting.
+        lead_time: Seconds of constant-velocity prediction in the planner's targets; the paper's has none.
 
     Raises:
         ValueError: A field of the wrong type or out of range, fields that contradict each other, or a mistake that the
@@ -116,6 +117,7 @@ class Task:
     camera: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.2, -0.4, 0.62), (0.4, -0.02, 0.14))
     instruction: str = ""
     setting: Setting = field(default_factory=Setting)
+    lead_time: float = 0.0
 
     def __post_init__(self) -> None:
         check_task_name("Task: name", self.name)
@@ -123,6 +125,7 @@ class Task:
         for name, kind in (("scene", SceneSpec), ("conditions", ConditionSpace), ("residual", ResidualSpec)):
             check_kind(f"{place}: {name}", getattr(self, name), kind)
         check_kind(f"{place}: setting", self.setting, Setting)
+        check_number(f"{place}: lead_time", self.lead_time, least=0.0)
         hidden = hidden_ranges(
             self.setting.physics, mass=bool(self.scene.bodies) and "mass" not in self.conditions.ranges
         )

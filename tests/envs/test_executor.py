@@ -83,8 +83,8 @@ def program(*phases: Phase) -> Task:
     return replace(CAN, phases=phases, impossible=(("dropped", Fallen("can")),))
 
 
-def start(task: Task, planner: FakePlanner | None = None, **options: float) -> PhaseExecutor:
-    executor = PhaseExecutor(task, planner or FakePlanner(), control_dt=DT, **options)  # type: ignore[arg-type]
+def start(task: Task, planner: FakePlanner | None = None) -> PhaseExecutor:
+    executor = PhaseExecutor(task, planner or FakePlanner(), control_dt=DT)  # type: ignore[arg-type]
     executor.reset(scene(), CONDITION, REFERENCE)
     return executor
 
@@ -256,7 +256,7 @@ def test_without_track_until_the_target_never_freezes() -> None:
 
 
 def test_lead_time_shifts_the_target_by_velocity_times_lead() -> None:
-    executor = start(program(phase("touch", Touched("can"))), lead_time=0.1)
+    executor = start(replace(program(phase("touch", Touched("can"))), lead_time=0.1))
     executor.advance(scene(0.5, vx=0.7), REFERENCE)
     assert executor.action.target.pose.position[0] == pytest.approx(0.57)
 

@@ -189,6 +189,7 @@ def test_actions_beyond_the_box_are_clipped(skip: Traced) -> None:
 def test_a_prediction_changes_the_prior_only_where_it_is_asked_for(skip: Traced) -> None:
     led = Traced(ResidualEnv("can", lead_time=0.1))
     assert run(led, condition(4), scale=0.0)[0] != run(skip, condition(4), scale=0.0)[0]
+    assert task_digest(led.unwrapped.task) != task_digest(skip.unwrapped.task)
     led.close()
 
 

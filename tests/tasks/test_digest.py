@@ -32,6 +32,12 @@ def test_what_defines_a_task_counts_and_what_describes_it_does_not() -> None:
     assert task_digest(replace(CAN, instruction="catch it")) == task_digest(CAN)
 
 
+def test_prediction_in_the_planner_is_another_definition_in_every_setting() -> None:
+    led = [replace(CAN, lead_time=seconds) for seconds in (0.0, 0.1, 0.2)]
+    assert [task_digest(task) == task_digest(CAN) for task in led] == [True, False, False]
+    assert len({digest_in_any_setting(task) for task in led}) == 3
+
+
 def test_a_setting_changes_the_digest_but_not_that_in_any_setting() -> None:
     others = [CAN.under(reflex=55), CAN.under(physics="wide"), CAN.under(sensing="real")]
     assert len({task_digest(task) for task in (CAN, *others)}) == 4
