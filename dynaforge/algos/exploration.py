@@ -62,8 +62,9 @@ def _sample(policy: ActorCriticPolicy, obs: PyTorchObs) -> Acted:
 def _act_by_job(model: OnPolicyAlgorithm, dispatcher: EpisodeDispatcher, key: tuple[int, int]) -> Acted:
     """Sample each row's action by itself, from torch's generator seeded with iteration, group, rollout and step.
 
-    What a rollout does then depends on nothing but its job: not on the number of envs, nor on what runs beside it. The
-    rows go through the policy one by one, since a matrix product rounds differently in batches of other sizes.
+    What a rollout does then depends on nothing but its job: not on the number of envs, nor on what runs beside it
+    (VecNormalize apart, whose statistics are of all envs). The rows go through the policy one by one, since a matrix
+    product rounds differently in batches of other sizes.
     """
     policy, acted = model.policy, dispatcher.acting
     found: list[Acted] = []

@@ -92,7 +92,9 @@ class FrontierGRPO(ResumableAlgorithm):
         resample_max: Rounds of drawing other conditions in place of filtered groups, within an iteration.
         use_sde: Generalised state-dependent exploration; each episode has its own noise matrix.
         exploration: "stream" draws noise from torch's generator, row by row as envs come free. "job" seeds it with
-            iteration, group, rollout and step, so that results are the same, bit for bit, for any number of envs.
+            iteration, group, rollout and step, so that results are the same, bit for bit, for any number of envs. Not
+            so with VecNormalize, whose statistics depend on which envs step together, nor with `timesteps="nominal"`,
+            by which schedules and the end of training depend on idle envs.
         sde_sample_freq: Renew all noise matrices every so many steps; -1 renews them once per episode.
         stats_window_size: Episodes in the means under rollout/.
         tensorboard_log: Folder for TensorBoard, or None.
