@@ -140,7 +140,7 @@ def control_rate(task: Task, *, rounds: int = 5, n: int = 30) -> list[Figure]:
         rounds: Number of rounds; the whole stack and the bare simulator take turns in each.
         n: Number of conditions, spread over the difficulty range.
     """
-    env = ResidualEnv(task)
+    env = ResidualEnv(task, share_prefix=False)  # each condition is simulated once
     recordings = [_record(env, condition) for condition in bench_conditions(task, n)]
     steps = sum(len(recording.commands) for recording in recordings)
     whole, bare, astray = list[float](), list[float](), 0

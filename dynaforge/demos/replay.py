@@ -95,7 +95,7 @@ class Replayer:
         first_gate = int(np.argmax(gates)) if np.any(gates) else None
         for step, (q, width) in enumerate(zip(*references, strict=True) if len(episode) else ()):
             if step == first_gate:
-                self.scene.save()  # as `World.execute` does
+                self.scene.renew_contacts()  # as `World.execute` does
             yield self.scene.step(*commands.push((np.array(q), float(width))))
 
     def recorded_states(self, episode: Episode) -> Iterator[SceneState]:

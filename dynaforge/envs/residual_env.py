@@ -97,6 +97,7 @@ class ResidualEnv(WorldEnv):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.residual_scale.size,), np.float32)
         # A sensor draws as it goes on; a picture may be wanted of what comes before the gate.
         self.share_prefix = share_prefix and self.task.setting.sensing == "ideal" and render_mode is None
+        self.world.keeps_gate = self.share_prefix
         self._prefix: Prefix | None = None
         self._answers: list[Answer] | None = None  # of this episode, while no gate has opened
         self._untold: deque[Answer] = deque()  # those of the prefix that are still to be given

@@ -66,6 +66,9 @@ class World:
     Attributes:
         state: The true scene now; what is judged.
         sensed: The scene as planner and policy see it; with ideal sensing it is `state`.
+        listeners: Called after every control step.
+        keeps_gate: Whether the world is saved when the first gate opens, so that `restore` can go
+            back there. The bits of an episode are the same in either case.
     """
 
     def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
@@ -80,6 +83,7 @@ class World:
         self.listeners: list[Callable[[ControlStep], None]] = []
         self._no_residual = np.zeros(7)
         self._saved: object | None = None
+        self.keeps_gate = False
         self._sensor = Sensor(dt) if task.setting.sensing == "real" else None
 
     def reset(self, condition: Condition) -> SceneState:
@@ -100,7 +104,7 @@ class World:
 
     @property
     def first_gate(self) -> SceneState | None:
-        """The scene at the first gate of the latest condition, to which `restore` goes back; None before it opened."""
+        """The scene at the first gate of the latest condition, to which `restore` goes back; None if not saved."""
         return self._first_gate if self.scene.saved is not None and self.scene.saved is self._saved else None
 
     def restore(self) -> None:
@@ -109,20 +113,24 @@ class World:
         Real sensing is not taken back: its draws and what it remembers go on.
 
         Raises:
-            RuntimeError: No gate has opened in this condition.
+            RuntimeError: No gate has opened in this condition, or none was saved.
         """
         self.scene.restore()
         put_back([*self._memory, (self, self._own)])
         self.local.restore(self.reference)
 
-    def _save(self) -> None:
+    def _open_gate(self) -> None:
+        """End Bullet's contact caches, as every episode does here, and save the world if anybody may go back."""
+        self._gate_opened = True
+        self.local.restore(self.reference)
+        if not self.keeps_gate:
+            self.scene.renew_contacts()
+            return
         self.scene.save()
         self._saved, self._first_gate = self.scene.saved, self.state
-        self._gate_opened = True
         # Its own part is named apart, since a world that referred to itself would stay until garbage is collected.
         self._own = {name: getattr(self, name) for name in ("state", "sensed", "reference", "_gate_opened")}
         self._memory = remember(self.follower, self._commands)
-        self.local.restore(self.reference)
 
     def execute(self, planned: PlannedAction, residual: Array | None) -> SceneState:
         """Apply Eq. 5 for one control step; `envs/residual.py` explains it.
@@ -132,7 +140,7 @@ class World:
             residual: scale * a_res as `ResidualScale.physical` returns it, shape (7,); None for a residual of zero.
         """
         if planned.gate and not self._gate_opened:
-            self._save()  # in every episode, since it ends Bullet's contact caches
+            self._open_gate()
         residual = gated(residual, planned)
         requested = requested_target(planned, residual)
         reference = project(requested, planned, self.local)

@@ -51,8 +51,9 @@ class Generator(Protocol):
 
 def make_env(generator: Generator, task: Task) -> Any:
     """Return a new env for a generator to act in."""
-    make: Callable[[Task], Any] = getattr(generator, "make_env", ResidualEnv)
-    return make(task)
+    make: Callable[[Task], Any] | None = getattr(generator, "make_env", None)
+    # Attempts are listened to, so that they share no prefix.
+    return ResidualEnv(task, share_prefix=False) if make is None else make(task)
 
 
 class ResidualGenerator:

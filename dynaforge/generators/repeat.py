@@ -20,7 +20,7 @@ class Repeater:
     """
 
     def __init__(self, task: Task) -> None:
-        self._env = ResidualEnv(task)
+        self._env = ResidualEnv(task, share_prefix=False)
 
     def __call__(self, episode: Episode) -> Episode:
         """Make the attempt of an episode again and record it; a genuine recording is repeated bit for bit.

@@ -22,7 +22,7 @@ class MotorCommands:
         arm: Commands to the arm's motors, one per substep.
         hand: What `Hand.command` is told in the course of it.
         fixtures: Motor speeds of each fixture, rad/s or m/s.
-        opens_gate: Whether the first gate opens before it, where `World` saves the scene.
+        opens_gate: Whether the first gate opens before it, where `World` renews contacts.
     """
 
     arm: list[ArmCommand]
@@ -50,7 +50,7 @@ def motor_commands(
     state, commands = scene.reset(condition), []
     for step, (q, width) in enumerate(references):
         if step == first_gate:
-            scene.save()
+            scene.renew_contacts()
         due = [fixture.due(state.time + spec.control_dt, spec.control_dt) for fixture in fixtures]
         state = scene.step(q, width)
         commands.append(MotorCommands(scene._arm.last, scene._hand.last, due, step == first_gate))
@@ -68,7 +68,7 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
         commands: What `motor_commands` returned for it.
 
     Returns:
-        CPU seconds without the reset and the save at the first gate, and the state at the end, whose time is not
+        CPU seconds without the reset and the renewal of contacts at the first gate, and the state at the end, whose time is not
         updated.
     """
     scene.reset(condition)
@@ -80,7 +80,7 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
     for step in commands:
         if step.opens_gate:
             paused = time.process_time()
-            scene.save()
+            scene.renew_contacts()
             begin += time.process_time() - paused
         for fixture, due in zip(fixtures, step.fixtures, strict=True):
             fixture.command(due)

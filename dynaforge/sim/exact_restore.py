@@ -41,6 +41,10 @@ class ExactRestore:
     def restore(self, state: int) -> None:
         """Go back to a state that Bullet's `saveState` returned."""
         self._restore(state)
+        self.renew_contacts()
+
+    def renew_contacts(self) -> None:
+        """Let contacts begin anew from where everything is now; what follows is the same as after `restore`."""
         for body, link, kind in self._parked:
             self._register(body, link, *kind)
         self._detect()

@@ -97,7 +97,7 @@ def compare(task: str, mode: GateMode, *, rollouts: int, most: int) -> None:
         before = shared.world.scene.saved
         assert episode(shared, condition, rollout, most=most) == episode(alone, condition, rollout, most=most), task
         assert (shared.world.scene.saved is before) is (rollout > 0), "the prefix was not shared"
-    assert alone._prefix is None
+    assert alone.world.scene.saved is None
     shared.close()
     alone.close()
 
