@@ -1,6 +1,6 @@
 """Learn a small network from demonstrations, and measure it in the task's env.
 
-    dynaforge collect --task can --demos 200
+    dynaforge collect --task can --policy runs/can-1/policy.safetensors --demos 200
     python results/small_imitator.py data/can
     dynaforge evaluate --task can --learner results/small_imitator.py:load --seeds 1 --attempts 60
 
