@@ -143,7 +143,8 @@ class LocalPlanner:
     def _has_arrived(self, q_goal: Array) -> bool:
         """Return whether only rounding error is left, from which Ruckig sometimes makes NaN."""
         now = self._reference.joints
-        return all(np.abs(left).max() < ARRIVED for left in (now.dq, now.ddq, q_goal - now.q))
+        lefts = (q_goal - now.q, now.dq, now.ddq)  # nearly always the first joint tells
+        return all(abs(x) < ARRIVED for left in lefts for x in left.tolist())
 
     def _next(self, q_goal: Array) -> JointState:
         """Return the state one control step nearer to the goal."""
@@ -191,6 +192,6 @@ def ramp_width(before: float, wanted: float, robot: RobotDescription, dt: float)
 
 def require_finite(name: str, value: Array | float) -> None:
     """Raise ValueError unless all numbers are finite."""
-    # The sum of a few numbers is finite if they all are, and is five times as fast as np.isfinite.
-    if not math.isfinite(value if isinstance(value, float) else value.sum()):
+    # The sum of a few numbers is finite if they all are; with plain floats it takes a third of the time of numpy's.
+    if not math.isfinite(value if isinstance(value, float) else sum(value.tolist())):
         raise ValueError(f"{name} is {np.asarray(value).tolist()}; it must be finite.")

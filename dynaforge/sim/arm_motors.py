@@ -64,6 +64,7 @@ class ArmMotors:
         self.dynamics = ArmDynamics(robot)
         self._robot, self._substeps = robot, substeps
         self._most = robot.effort_max - robot.torque_margin
+        self._least = -self._most
         # Positional arguments: Bullet takes a third less time to read them than names.
         self._feed_forward = partial(client.setJointMotorControlArray, body, joints, p.TORQUE_CONTROL)
         self._correct = partial(client.setJointMotorControlArray, body, joints, p.POSITION_CONTROL)
@@ -91,7 +92,7 @@ class ArmMotors:
         motion = self._motion @ np.array((q0, move, dq0, self._moved))
         dq, first, last = motion[2 * n :]
         torques = np.array((self.dynamics.torque(q0, dq0, first), self.dynamics.torque(q, dq, last)))
-        torques = np.minimum(np.maximum(self._blend @ torques, -self._most), self._most)
+        torques = np.minimum(np.maximum(self._blend @ torques, self._least), self._most)
         self._q, self._dq, self._moved = q, dq, move
         path, velocities = motion[:n].tolist(), motion[n : 2 * n].tolist()
         self.last = list(map(ArmCommand, path, velocities, torques.tolist()))

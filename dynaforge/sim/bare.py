@@ -68,8 +68,8 @@ def replay_bare(scene: SimScene, condition: Condition, commands: Sequence[MotorC
         commands: What `motor_commands` returned for it.
 
     Returns:
-        CPU seconds without the reset and the renewal of contacts at the first gate, and the state at the end, whose time is not
-        updated.
+        CPU seconds without the reset and the renewal of contacts at the first gate, and the state at the end, whose
+        time is not updated.
     """
     scene.reset(condition)
     # The scene's own bound calls: any other way to call Bullet is slower, and would make the whole stack look better.

@@ -52,7 +52,7 @@ class HandTarget:
             robot: The robot.
             lowest: Least height of the end effector in the world, metres.
         """
-        lowest = max(lowest, CLEARANCE - float((HAND_POINTS @ self.pose.rotation[2]).min()))
+        lowest = max(lowest, CLEARANCE - min((HAND_POINTS @ self.pose.rotation[2]).tolist()))
         pose = raised_to(self.pose, lowest)
         return HandTarget(pose, min(max(self.width, 0.0), robot.width_max))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import combinations
+from operator import gt
 from typing import NoReturn
 
 import numpy as np
@@ -238,7 +239,7 @@ class SimScene:
             touching={name: contacts.touching(name) for name in objects},
             on_table={name: (name, "table") in contacts.supports for name, _ in self._observed},
             contacts=contacts,
-            stopped=any(abs(speed) > most for speed, most in zip(velocities, self._stop_speeds, strict=False)),
+            stopped=any(map(gt, map(abs, velocities), self._stop_speeds)),  # the arm's; the fingers' are left over
             loads=self._watch.end_step(q, ee.position),
             overloaded=self._watch.tripped,
             pressed={name: fixture.pressed for name, fixture in fixtures.items() if fixture.spec.spring},
