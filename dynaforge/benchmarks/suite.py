@@ -34,6 +34,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "reset": lambda task, rounds: _of("speed").scene_reset(task, rounds=rounds),
     "global-plans": lambda task, rounds: _of("speed").global_plans(task),
     "control-steps": lambda task, rounds: _of("speed").control_rate(task, rounds=rounds),
+    "control-steps-plain": lambda task, rounds: _of("speed").control_rate(task, rounds=rounds, plain=True),
     "vectorised": lambda task, rounds: _of("vector").vectorised(task, rounds=rounds),
     "prefix": lambda task, rounds: _of("prefix").shared_prefix(),
     "trainer": lambda task, rounds: _of("training").trainer(task, rounds=rounds),

@@ -32,6 +32,24 @@ def test_the_bare_loop_simulates_the_very_same_episodes_in_less_time():
     assert figure.raw["control_steps"] > 40
 
 
+def test_the_plain_figure_watches_no_forces(monkeypatch):
+    seen, run = [], bench_speed.run_zero_residual
+
+    def noted(env, condition):
+        outcome = run(env, condition)
+        seen.append((env.task.setting.reflex, env.task.setting.physics, env.world.scene.loads.peak_force))
+        return outcome
+
+    monkeypatch.setattr(bench_speed, "run_zero_residual", noted)
+    (figure,) = bench_speed.control_rate(CAN, rounds=1, n=4, plain=True)
+    assert figure.raw["replays_astray"] == 0
+    assert set(seen) == {("off", "fixed", 0.0)}
+    seen.clear()
+    bench_speed.control_rate(CAN, rounds=1, n=4)
+    assert {each[:2] for each in seen} == {("contact", "varied")}
+    assert max(force for *_, force in seen) > 0.0
+
+
 def test_a_bare_loop_on_another_trajectory_misses_the_figure(monkeypatch):
     record = bench_speed._record
 

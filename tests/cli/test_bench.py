@@ -99,6 +99,7 @@ QUICK = {
     "one-trajectory": lambda task: bench_determinism.one_trajectory(task, n=1, sizes=(2,)),
     "reset": lambda task: bench_speed.scene_reset(task, rounds=1, n=2),
     "control-steps": lambda task: bench_speed.control_rate(task, rounds=1, n=2),
+    "control-steps-plain": lambda task: bench_speed.control_rate(task, rounds=1, n=2, plain=True),
     "vectorised": lambda task: bench_vector.vectorised(task, rounds=1, n_envs=2, n_steps=10),
     "prefix": lambda task: bench_prefix.shared_prefix(tasks=(task.name,), n_groups=1, group_size=2),
     "trainer": lambda task: bench_training.trainer(task, rounds=1),
