@@ -51,6 +51,7 @@ with _silent_stderr():
 
 
 STIFFNESS, DAMPING = 1e6, 2000.0  # N/m, N s/m
+HAND_STIFFNESS, HAND_DAMPING = 3e4, 300.0  # N/m, N s/m: pads, gears and joints, one after the other
 
 
 class Client:
@@ -163,6 +164,22 @@ def stiffen(client: Any, body: int) -> None:
     """
     for link in range(-1, client.getNumJoints(body)):
         client.changeDynamics(body, link, contactStiffness=STIFFNESS, contactDamping=DAMPING)
+
+
+def soften_hand(client: Any, body: int, fingers: list[int]) -> None:
+    """Let the surface of fingers and palm yield like the pads of a real hand, with the elastic arm behind them.
+
+    Where rigid bodies meet, the speed of an impact is undone within one substep, whose force then is a multiple of what
+    the impact would be on a robot.
+
+    Args:
+        client: The physics client.
+        body: Bullet's index of the robot.
+        fingers: Indices of the finger joints, both on the palm.
+    """
+    palm = client.getJointInfo(body, fingers[0])[16]
+    for link in (palm, *fingers):
+        client.changeDynamics(body, link, contactStiffness=HAND_STIFFNESS, contactDamping=HAND_DAMPING)
 
 
 @contextlib.contextmanager

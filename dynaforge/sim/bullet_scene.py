@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asset, plain_urdf, stiffen
+from dynaforge.sim.bullet import connect, free_link, joints_and_links, load_asset, plain_urdf, soften_hand, stiffen
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.fixture import Fixture
@@ -124,6 +124,7 @@ def _prepare_robot(client: Any, body: int, robot: RobotDescription, *, finger_fr
         client.resetJointState(body, joint, robot.width_max / 2)
         client.changeDynamics(body, joint, lateralFriction=finger_friction, spinningFriction=0.02, rollingFriction=0.0)
     stiffen(client, body)
+    soften_hand(client, body, fingers)
     couple_fingers(client, body, fingers)
     client.changeDynamics(body, -1, activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING)
     return BulletRobot(body, arm, fingers, links[robot.ee_link])

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 HAND_DELAY = HIDDEN["hand_delay"].nominal  # seconds from a command to the start of its motion
 POSITION_GAIN, VELOCITY_GAIN = 0.3, 1.0
 SPEED_MARGIN = 0.995  # a stiff gear exceeds the speed limit of the motors by up to 0.2 %
+# A joint limit holds a finger that has reached it; one that is inside of it by less could first be pushed out by as much
+# as a load moves it in a substep.
+BITE = 1e-5  # metres
 GEAR = {"gearRatio": -1, "erp": 2.0, "maxForce": 1e4}  # mends 40 % of an error per substep; newtons, above any load
 # The geared motor adds its inertia to the fingers, which weigh a tenth of this. At that tenth, the solver's iterations
 # end before it has built up the closing force: 40 N become 16 N.
@@ -134,8 +137,8 @@ class Hand:
         self.command(
             HandCommand(
                 target,
-                (min(target, max(lower[0], left)), min(target, max(lower[1], right))),
-                (max(target, min(upper[0], left)), max(target, min(upper[1], right))),
+                (min(target, _above(lower[0], left)), min(target, _above(lower[1], right))),
+                (max(target, _below(upper[0], left)), max(target, _below(upper[1], right))),
             )
         )
 
@@ -145,6 +148,16 @@ class Hand:
         for move, hold, lower, upper in zip(self._move, self._hold, command.lower, command.upper, strict=True):
             hold(jointLowerLimit=lower, jointUpperLimit=upper)
             move(targetPosition=command.target)  # after the limits, to which Bullet clips it
+
+
+def _below(limit: float, position: float) -> float:
+    """Return an upper limit that follows a finger down and that the finger touches."""
+    return position - BITE if position <= limit else limit
+
+
+def _above(limit: float, position: float) -> float:
+    """Return a lower limit that follows a finger up and that the finger touches."""
+    return position + BITE if position >= limit else limit
 
 
 def couple_fingers(client: Any, body: int, fingers: Sequence[int]) -> None:

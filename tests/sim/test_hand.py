@@ -13,6 +13,7 @@ from dynaforge.envs.executor import PhaseExecutor
 from dynaforge.envs.world import World
 from dynaforge.geometry import Array
 from dynaforge.sim import Condition, SimScene
+from dynaforge.sim.bullet import HAND_STIFFNESS
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.probing import push_fingers
 from dynaforge.tasks import TASK_NAMES, get_task
@@ -91,6 +92,15 @@ def test_a_finger_that_meets_an_object_first_pushes_it_and_both_grip_with_the_cl
     assert np.ptp(positions, axis=1).max() < 1e-3
     assert positions[-1].sum() == pytest.approx(0.066, abs=3e-3)
     assert forces == pytest.approx([scene.robot.grip_force] * 2, rel=0.1)
+
+
+def test_pads_yield_by_force_over_stiffness(scene: SimScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    close_on_can(scene, monkeypatch, mass=1.0)
+    bullet = scene._bullet
+    for finger in bullet.robot.fingers:
+        contacts = bullet.client.getContactPoints(bullet.robot.body, bullet.bodies["can"], finger)
+        depth = np.mean([-c[8] for c in contacts])
+        assert depth == pytest.approx(np.mean([c[9] for c in contacts]) / HAND_STIFFNESS, rel=0.3)
 
 
 def test_fingers_stay_symmetric_when_one_of_them_is_stopped(scene: SimScene, monkeypatch: pytest.MonkeyPatch) -> None:
