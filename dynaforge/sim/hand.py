@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 HAND_DELAY = HIDDEN["hand_delay"].nominal  # seconds from a command to the start of its motion
 POSITION_GAIN, VELOCITY_GAIN = 0.3, 1.0
 SPEED_MARGIN = 0.995  # a stiff gear exceeds the speed limit of the motors by up to 0.2 %
-# A joint limit holds a finger that has reached it; one that is inside of it by less could first be pushed out by as much
-# as a load moves it in a substep.
+# A joint limit holds a finger that has reached it. One that is just inside of it could be pushed out by as much as a
+# load moves it in a substep.
 BITE = 1e-5  # metres
 GEAR = {"gearRatio": -1, "erp": 2.0, "maxForce": 1e4}  # mends 40 % of an error per substep; newtons, above any load
 # The geared motor adds its inertia to the fingers, which weigh a tenth of this. At that tenth, the solver's iterations
