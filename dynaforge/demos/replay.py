@@ -60,7 +60,7 @@ class Replayer:
 
     def __init__(self, task: Task, *, visuals: Visuals = False) -> None:
         self.task = task
-        self.scene = SimScene(task.scene, reflex=task.setting.reflex, visuals=visuals)
+        self.scene = SimScene(task.simulated, reflex=task.setting.reflex, visuals=visuals)
 
     def replay(self, episode: Episode) -> Replay:
         """Simulate an episode again and compare every recorded state.

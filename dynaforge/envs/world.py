@@ -74,7 +74,7 @@ class World:
     def __init__(self, task: Task, *, visuals: Visuals = False, gui: bool = False) -> None:
         check_kind("task", task, Task)
         self.task = task
-        self.scene = SimScene(task.scene, reflex=task.setting.reflex, visuals=visuals, gui=gui)
+        self.scene = SimScene(task.simulated, reflex=task.setting.reflex, visuals=visuals, gui=gui)
         robot, dt = self.scene.robot, task.scene.control_dt
         self.kinematics = ArmKinematics(robot)
         self.local = LocalPlanner(robot, self.kinematics, dt=dt)

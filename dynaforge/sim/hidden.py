@@ -19,9 +19,10 @@ Widened = Literal[
     "wide:hand_delay",
 ]
 """Physics in which one field alone is wide, and the others are as in "varied"."""
-Physics = Level | Widened
+Physics = Level | Widened | Literal["fine"]
+"""How far hidden physics varies; "fine" varies as "varied" does, in substeps of half the length."""
 LEVELS: tuple[Level, ...] = get_args(Level)
-PHYSICS: tuple[Physics, ...] = (*LEVELS, *get_args(Widened))
+PHYSICS: tuple[Physics, ...] = (*LEVELS, *get_args(Widened), "fine")
 Range = tuple[float, float]
 
 

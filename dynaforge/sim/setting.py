@@ -25,7 +25,8 @@ class Setting:
     Attributes:
         reflex: External force at which the robot stops: a named threshold (`sim.reflex`), or newtons.
         physics: How far hidden physics varies between conditions (`sim.hidden`): "fixed", "varied", "wide", or
-            "wide:FIELD", where all fields but one are as in "varied".
+            "wide:FIELD", where all fields but one are as in "varied", or "fine", as "varied" in substeps of half the
+            length.
         sensing: What planner and policy see: "ideal", the truth, or "real", which is late and noisy.
 
     Raises:

@@ -216,6 +216,13 @@ class Task:
         return self if setting == self.setting else replace(self, setting=setting)
 
     @property
+    def simulated(self) -> SceneSpec:
+        """The scene as this setting simulates it: fine physics halves the substeps."""
+        if self.setting.physics != "fine":
+            return self.scene
+        return replace(self.scene, physics_dt=self.scene.physics_dt / 2)
+
+    @property
     def manipulated(self) -> str:
         """The object that the hand acts on: the first free body, or the one fixture."""
         return self.scene.tracked[0]

@@ -23,6 +23,7 @@ SETTINGS = (
     Setting(reflex="strict", physics="wide", sensing="real"),
     Setting(reflex="off", physics="fixed", sensing="real"),
     Setting(reflex=60.0, physics="wide:hand_delay"),
+    Setting(physics="fine"),
 )
 LEMON = get_task("lemon")
 D = np.count_nonzero(LEMON.residual.scales)

@@ -8,9 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from dynaforge.envs.world import World
 from dynaforge.sim import Condition, SimScene
 from dynaforge.sim.hidden import HIDDEN, LEVELS, PHYSICS
+from dynaforge.sim.probing import at_every_substep
 from dynaforge.tasks import TASK_NAMES, get_task
+from dynaforge.tasks.digest import digest_in_any_setting
 
 
 def conditions_of(task, n=1):
@@ -73,6 +76,25 @@ def test_each_hidden_field_reaches_the_physics_and_is_taken_back(field):
     scene.close()
 
 
+def test_fine_physics_has_the_conditions_of_varied_physics_and_substeps_of_half_the_length():
+    can = get_task("can")
+    fine = can.under(physics="fine")
+    assert next(fine.conditions.stream("val")) == next(can.conditions.stream("val"))
+    assert digest_in_any_setting(fine) == digest_in_any_setting(can)
+    substeps = {}
+    for task in (can, fine):
+        world, substeps[task.setting.physics] = World(task), 0
+        world.reset(next(task.conditions.stream("val")))
+
+        def count(physics=task.setting.physics):
+            substeps[physics] += 1
+
+        with at_every_substep(world.scene, after=count):
+            world.scene.step(world.scene.robot.q_ready, 0.08)
+        world.scene.close()
+    assert substeps == {"varied": 8, "fine": 16}
+
+
 def test_a_can_rolls_less_far_and_loses_speed_in_proportion_to_the_rolling_friction(scene):
     nominal = next(get_task("can").under(physics="fixed").conditions.stream("val"))
 
@@ -114,7 +136,7 @@ def test_one_field_alone_may_be_wide(field):
 
 
 def test_every_hidden_field_may_be_widened_alone_where_it_varies():
-    assert (*LEVELS, *(f"wide:{name}" for name in HIDDEN)) == PHYSICS
+    assert (*LEVELS, *(f"wide:{name}" for name in HIDDEN), "fine") == PHYSICS
     with pytest.raises(ValueError, match="in this task the mass is a field of its own"):
         get_task("can").under(physics="wide:mass")
     with pytest.raises(ValueError, match="Did you mean 'wide:hand_delay'"):

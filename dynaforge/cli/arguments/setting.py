@@ -25,9 +25,9 @@ def add_setting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--physics",
         type=Choice("physics", PHYSICS),
-        metavar="{fixed,varied,wide,wide:FIELD}",
+        metavar="{fixed,varied,wide,wide:FIELD,fine}",
         help="how far friction, masses, gains and the hand's dead time vary between conditions; with wide:hand_delay, "
-        "say, only that one is wide (default: the task's, varied)",
+        "say, only that one is wide; fine is varied in physics steps of half the length (default: the task's, varied)",
     )
     parser.add_argument(
         "--sensing",
