@@ -6,8 +6,8 @@
 
 `before.csv` is from the same script run in a checkout of commit 130d055, without `physics=fixed`, which it does not
 know: its motors push with all the torque that the robot has, and nothing stops it. The can is the first of the stream
-`val`, block 0, with 8 strata. Of the ten slow cans of the survey, eight were grasped before, six are now and before,
-and of those six this one has the third-greatest ratio of the peak now to the peak before.
+`val`, block 0, with 8 strata. Of the ten slow cans of the survey, eight were grasped before, seven of these are now,
+and of those seven this one has the third-greatest ratio of the peak now to the peak before.
 """
 
 from __future__ import annotations
