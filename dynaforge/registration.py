@@ -22,6 +22,9 @@ ENV_NAMES = {
 TASK_FILES: dict[str, str] = {}
 """Path of the file of each task that is not one of the package."""
 
+TASK_FILES_VARIABLE = "DYNAFORGE_TASKS"
+"""The environment variable that lists task files, separated as in PATH. Users may set it, and workers inherit it."""
+
 
 def env_id(task: str) -> str:
     """Return the residual env's id of a task, e.g. "DynaForge/Can-v0".

@@ -7,14 +7,14 @@ import sys
 import time
 
 from dynaforge.cli.arguments.tasks import chosen_task
+from dynaforge.cli.engine import on_ray
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import DemonstrationDataset
 from dynaforge.generators import ConditionSource, GaveUp, Goal, collect, run_attempts
 from dynaforge.generators.by_name import setting_line
-from dynaforge.generators.collecting import Engine
 from dynaforge.generators.giving_up import describe_counts
-from dynaforge.generators.ray_engine import connect_to_ray, run_attempts_on_ray
+from dynaforge.generators.ray_engine import run_attempts_on_ray
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     task = chosen_task(options)
     generator = generator_of(options.generator, task, options)
     print(f"{task.name}: {setting_line(task, [generator])}")
-    engine = _engine(options)
+    engine = run_attempts_on_ray if on_ray(options) else run_attempts
     out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
     if policy := getattr(generator, "policy_hash", ""):
@@ -59,13 +59,6 @@ def run(options: argparse.Namespace) -> int:
     if problem:
         print(f"dynaforge collect: {problem}.", file=sys.stderr)
     return 1 if problem else 0
-
-
-def _engine(options: argparse.Namespace) -> Engine:
-    if options.engine == "local":
-        return run_attempts
-    connect_to_ray()  # a missing cluster is reported before a folder is made
-    return run_attempts_on_ray
 
 
 def _goal(options: argparse.Namespace) -> Goal:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, Protocol
+from types import GeneratorType
+from typing import Any
 
 from dynaforge.demos import Attempt, Episode
 from dynaforge.generators.generator import Generator, make_env
+from dynaforge.sampling.jobs import in_order
 from dynaforge.sampling.processes import NoWorkers, kill_pool, started_pool, usable_cores, worker_pool
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Task
@@ -61,42 +63,22 @@ def run_attempts(
     Raises:
         NoWorkers: Workers cannot start, or the env cannot be made in them; the message says why.
     """
-    yield from in_order(_Processes(task, generator, workers or usable_cores()), conditions, block=block)
+    yield from in_one_block(in_order(_Processes(task, generator, workers or usable_cores()), conditions), block)
 
 
-class Workers(Protocol):
-    """Workers of any kind, and the attempts that they were given, oldest first."""
-
-    @property
-    def running(self) -> Sized:
-        """The attempts in progress."""
-
-    def hand_out(self, source: Iterator[Condition]) -> None:
-        """Take as many conditions as keep all workers busy."""
-
-    def next_result(self) -> Result:
-        """Wait for the oldest attempt; a worker that died or hangs is replaced."""
-
-    def kill(self) -> None:
-        """End all workers."""
-
-
-def in_order(workers: Workers, conditions: Iterable[Condition], *, block: int) -> Iterator[Result]:
-    """Attempt every condition and yield the results in order; the workers end with the iteration.
+def in_one_block(results: Iterator[Result], block: int) -> Iterator[Result]:
+    """Yield results as parts of a block of conditions.
 
     Args:
-        workers: What makes the attempts.
-        conditions: May be endless if the caller stops iterating.
-        block: Block number noted with every attempt.
+        results: The results, whose workers end with the iteration.
+        block: Its number.
     """
-    source = iter(conditions)
     try:
-        workers.hand_out(source)
-        while workers.running:
-            yield workers.next_result().in_block(block)
-            workers.hand_out(source)
+        for result in results:
+            yield result.in_block(block)
     finally:
-        workers.kill()
+        if isinstance(results, GeneratorType):
+            results.close()
 
 
 class _Processes:

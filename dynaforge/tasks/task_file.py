@@ -9,13 +9,10 @@ import warnings
 from pathlib import Path
 from types import ModuleType
 
-from dynaforge.registration import ENV_NAMES, TASK_FILES, env_ids, register_task
+from dynaforge.registration import ENV_NAMES, TASK_FILES, TASK_FILES_VARIABLE, env_ids, register_task
 from dynaforge.sim.checks import quoted
 from dynaforge.tasks.task import Task
 from dynaforge.tasks.user_code import module_of_file
-
-VARIABLE = "DYNAFORGE_TASKS"
-"""The environment variable that lists task files, separated as in PATH. Users may set it, and workers inherit it."""
 
 
 def task_of_file(path: Path) -> Task:
@@ -70,7 +67,7 @@ def register_listed_files() -> None:
         try:
             task_of_file(path)
         except ValueError as error:
-            warnings.warn(f"{VARIABLE} lists a file that is not a task file: {error}", stacklevel=2)
+            warnings.warn(f"{TASK_FILES_VARIABLE} lists a file that is not a task file: {error}", stacklevel=2)
 
 
 def _register(task: Task, path: Path) -> None:
@@ -85,9 +82,9 @@ def _register(task: Task, path: Path) -> None:
     if any(f"dynaforge/{task.env_name}{kind}-v0".lower() in taken for kind in ("", "Task")):
         raise ValueError(f"{path}: the env_name {task.env_name!r} makes an env id of another task; choose another.")
     register_task(task.name, task.env_name, str(path))
-    os.environ[VARIABLE] = os.pathsep.join(dict.fromkeys((*_listed_files(), str(path))))
+    os.environ[TASK_FILES_VARIABLE] = os.pathsep.join(dict.fromkeys((*_listed_files(), str(path))))
 
 
 def _listed_files() -> list[str]:
-    listed = os.environ.get(VARIABLE, "").split(os.pathsep)
+    listed = os.environ.get(TASK_FILES_VARIABLE, "").split(os.pathsep)
     return [str(Path(path).expanduser().resolve()) for path in listed if path]

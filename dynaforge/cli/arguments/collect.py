@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from dynaforge.cli.arguments.generators import add_policy, check_generators
-from dynaforge.cli.arguments.shared import add_workers
+from dynaforge.cli.arguments.shared import add_engine
 from dynaforge.cli.arguments.tasks import add_task_argument, chosen_task
 from dynaforge.cli.command import Command
 from dynaforge.demos import DemonstrationDataset
@@ -42,15 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="every Nth condition, the I-th first; --demos and --attempts are then those of the shard (default: all)",
     )
     parser.add_argument("--keep-failures", action="store_true", help="keep the recordings of failures too")
-    add_workers(parser, "processes, or actors of the engine ray")
-    parser.set_defaults(workers=None)  # each engine knows how many cores it has
-    engines = ("local", "ray")
-    parser.add_argument(
-        "--engine",
-        **one_of("engine", engines),
-        default="local",
-        help="this machine's cores, or those of a running Ray cluster",
-    )
+    add_engine(parser)
     parser.add_argument(
         "--out",
         type=OutputPath("folder", containing="dataset.json"),

@@ -11,6 +11,7 @@ from dynaforge.sampling.processes import usable_cores
 from dynaforge.tasks import STREAMS
 
 MOST_WORKERS = 1000
+ENGINES = ("local", "ray")
 
 
 def add_workers(parser: argparse.ArgumentParser, meaning: str = "processes") -> None:
@@ -20,6 +21,23 @@ def add_workers(parser: argparse.ArgumentParser, meaning: str = "processes") -> 
         type=WholeNumber(1, MOST_WORKERS),
         default=usable_cores(),
         help=f"{meaning}; by default one per core that this process may use",
+    )
+
+
+def add_engine(parser: argparse.ArgumentParser, workers: str = "processes, or actors of the engine ray") -> None:
+    """Add --engine, and --workers for it; by default each engine knows how many cores it has.
+
+    Args:
+        parser: Parser of the command.
+        workers: What --workers is the number of.
+    """
+    add_workers(parser, workers)
+    parser.set_defaults(workers=None)
+    parser.add_argument(
+        "--engine",
+        **one_of("engine", ENGINES),
+        default="local",
+        help="local: the cores of this machine; ray: those of a running Ray cluster, with the same results",
     )
 
 
