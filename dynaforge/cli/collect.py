@@ -20,10 +20,10 @@ from dynaforge.generators.ray_engine import run_attempts_on_ray
 def run(options: argparse.Namespace) -> int:
     """Collect what is missing; return 1 when that is less than was asked for."""
     goal = _goal(options)
+    engine = run_attempts_on_ray if on_ray(options) else run_attempts
     task = chosen_task(options)
     generator = generator_of(options.generator, task, options)
     print(f"{task.name}: {setting_line(task, [generator])}")
-    engine = run_attempts_on_ray if on_ray(options) else run_attempts
     out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
     if policy := getattr(generator, "policy_hash", ""):

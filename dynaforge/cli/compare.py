@@ -8,13 +8,17 @@ from pathlib import Path
 
 from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
 from dynaforge.cli.arguments.tasks import chosen_tasks
+from dynaforge.cli.engine import on_ray
 from dynaforge.files.atomic import make_folder
 from dynaforge.reports import write_comparison
+from dynaforge.sampling.processes import usable_cores
 from dynaforge.training.comparison import Comparison
 from dynaforge.training.comparison_table import comparison_table
 from dynaforge.training.matrix import check_variants, compared_variants, refuse_links, run_matrix
+from dynaforge.training.ray_runs import RayRuns
 from dynaforge.training.run_archive import write_archives
 from dynaforge.training.run_pool import RunPool
+from dynaforge.training.run_process import LocalRuns
 from dynaforge.training.run_spec import Evaluation, RunSpec
 
 
@@ -28,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
     for spec in specs:
         refuse_links(spec.folder, options.out)
         spec.check(definition=not options.report_only or bool(chosen_parts(options)))
+    ray = not options.report_only and on_ray(options)
     if not options.report_only:
         print(*setting_lines((Path(spec.task).stem, str(spec.setting)) for spec in specs), sep="\n")
     make_folder(options.out)
@@ -35,7 +40,8 @@ def run(options: argparse.Namespace) -> int:
     print(f"{len(specs)} runs, {len(specs) - len(missing)} finished; stored in {options.out}")
     complete = not missing
     if missing and not options.report_only:
-        complete = RunPool(missing, options.workers, seconds=60 * (options.budget or float("inf"))).work()
+        runs = RayRuns(missing, options.workers) if ray else LocalRuns(missing, options.workers or usable_cores())
+        complete = RunPool(missing, runs, seconds=60 * (options.budget or float("inf"))).work()
     comparison = Comparison.load(options.out, [spec.folder for spec in specs if spec.finished])
     if not comparison.runs:
         print("nothing is finished yet, so there is nothing to report")

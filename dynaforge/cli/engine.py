@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.sampling.ray_jobs import connect_to_ray
+from dynaforge.sampling.ray_cluster import connect_to_ray
 
 
 def on_ray(options: argparse.Namespace) -> bool:

@@ -8,11 +8,14 @@ from itertools import islice
 
 from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
 from dynaforge.cli.arguments.tasks import chosen_tasks
+from dynaforge.cli.engine import on_ray
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, comparison_table, task_table
 from dynaforge.generators import Generator, ResidualGenerator
 from dynaforge.generators.by_name import make_generator, setting_line
+from dynaforge.generators.collecting import Engine
 from dynaforge.generators.measure import measure
+from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.reports.evaluation import BINS, gains_over_first, reports_of, write_evaluation, write_task_table
 from dynaforge.tasks import Task
 
@@ -23,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         GaveUp: A generator only raises, so that there is nothing to measure.
     """
+    engine = run_attempts_on_ray if on_ray(options) else None
     tasks = chosen_tasks(options)
     planned = [(task, [generator_of(name, task, options) for name in options.generator]) for task in tasks]
     print(*setting_lines((task.name, setting_line(task, generators)) for task, generators in planned), sep="\n")
@@ -30,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
     for task, generators in planned:
-        measured = {g.name: _measured(task, g, options) for g in generators}
+        measured = {g.name: _measured(task, g, options, engine) for g in generators}
         reports = reports_of(task, measured)
         print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")
         print(comparison_table(reports))
@@ -81,10 +85,11 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
         raise ValueError(f"--policy: {error}" if "policy" in settings else str(error)) from error
 
 
-def _measured(task: Task, generator: Generator, options: argparse.Namespace) -> list[Attempt]:
+def _measured(task: Task, generator: Generator, options: argparse.Namespace, engine: Engine | None) -> list[Attempt]:
     n_strata = BINS if options.strata else None
     blocks = (
         islice(task.conditions.stream(options.stream, block, n_strata=n_strata), options.attempts)
         for block in range(options.seeds)
     )
-    return measure(task, generator, blocks, total=options.seeds * options.attempts, workers=options.workers)
+    total = options.seeds * options.attempts
+    return measure(task, generator, blocks, total=total, workers=options.workers, engine=engine)

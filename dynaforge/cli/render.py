@@ -9,14 +9,21 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynaforge.cli.arguments.datasets import open_dataset
+from dynaforge.cli.engine import on_ray
 from dynaforge.demos.observations import WORKSPACE, ObservationFolder, ObservationSettings, standard_cameras
-from dynaforge.demos.rendering import read_cameras, render_episodes, require_point_sampling
+from dynaforge.demos.rendering import (
+    read_cameras,
+    render_episodes,
+    render_episodes_on_ray,
+    require_point_sampling,
+)
 from dynaforge.sim.camera import Camera
 from dynaforge.tasks import Task
 
 
 def run(options: argparse.Namespace) -> int:
     """Render what is missing; return 1 where an episode could not be rendered."""
+    render = render_episodes_on_ray if on_ray(options) else render_episodes
     dataset, task = open_dataset(options)
     settings = _settings(options, task)
     if settings.points:
@@ -26,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     missing = folder.missing(ids)
     print(f"{len(ids)} episodes, {len(ids) - len(missing)} rendered; stored in {folder.path}")
     failed = 0
-    rendering = render_episodes(options.folder, folder, task, missing, workers=options.workers)
+    rendering = render(options.folder, folder, task, missing, workers=options.workers)
     for name, problem in tqdm(rendering, total=len(missing), unit="episode"):
         if problem:
             failed += 1

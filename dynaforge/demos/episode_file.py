@@ -56,7 +56,7 @@ def write_episode(path: str | Path, episode: Episode) -> None:
     Raises:
         OSError: The folder is missing or not writable, or the disk is full.
     """
-    write_sealed(path, _encode(episode))
+    atomic_write(path, sealed(_encode(episode)))
 
 
 def read_episode(path: str | Path) -> Episode:
@@ -74,9 +74,9 @@ def read_episode(path: str | Path) -> Episode:
         raise DamagedFileError(path, f"its content is no episode ({printable(error)})") from error
 
 
-def write_sealed(path: str | Path, body: bytes) -> None:
-    """Write the bytes of an HDF5 file after the user block that `check_seal` reads, whole or not at all."""
-    atomic_write(path, _seal(body) + body)
+def sealed(body: bytes) -> bytes:
+    """Return the bytes of an HDF5 file after the user block that `check_seal` reads."""
+    return _seal(body) + body
 
 
 def _seal(body: bytes) -> bytes:

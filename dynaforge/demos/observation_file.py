@@ -12,7 +12,7 @@ import h5py
 from numpy.typing import NDArray
 
 from dynaforge.demos.episode import Episode
-from dynaforge.demos.episode_file import check_seal, write_sealed
+from dynaforge.demos.episode_file import check_seal, sealed
 from dynaforge.demos.untrusted import (
     MALFORMED_FILE_ERRORS,
     DamagedFileError,
@@ -22,6 +22,7 @@ from dynaforge.demos.untrusted import (
     read_file,
     read_text,
 )
+from dynaforge.files.atomic import atomic_write
 
 SETTINGS = "settings.json"
 REMEDY = "render"  # how a damaged file is made again
@@ -42,6 +43,20 @@ def write_observations(
         names: What the numbers in the segmentations stand for.
         settings: Digest of the settings file beside it.
     """
+    atomic_write(path, observation_bytes(episode, arrays, names=names, settings=settings))
+
+
+def observation_bytes(
+    episode: Episode, arrays: Mapping[str, NDArray[Any]], *, names: list[str], settings: str = ""
+) -> bytes:
+    """Return what `write_observations` writes.
+
+    Args:
+        episode: The recording that was rendered.
+        arrays: What `ObservationRenderer.render` returned.
+        names: What the numbers in the segmentations stand for.
+        settings: Digest of the settings file beside it.
+    """
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver="latest") as file:
         file.attrs["episode"] = episode.id
@@ -53,7 +68,7 @@ def write_observations(
             compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if image else {}
             chunks = (1, *array.shape[1:]) if image else None
             file.create_dataset(name, data=array, chunks=chunks, **compression)
-    write_sealed(path, buffer.getvalue())
+    return sealed(buffer.getvalue())
 
 
 def read_observations(

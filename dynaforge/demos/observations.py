@@ -235,6 +235,10 @@ class ObservationFolder:
         path: The folder; by default `observations/` of the dataset.
         settings: What it is to contain; it is created if need be. None opens an existing folder, for reading.
 
+    Attributes:
+        settings: What it contains.
+        digest: Digest of the settings file, which every file of observations names.
+
     Raises:
         FileNotFoundError: No settings were given and the folder contains none.
         DamagedFileError: It is no folder, or its settings cannot be read.
@@ -255,7 +259,7 @@ class ObservationFolder:
         self.settings = _settings(marker, text)
         if settings is not None and settings != self.settings:
             raise ValueError(f"{path} holds observations with other settings. Choose another --out, or remove it.")
-        self._digest = hashlib.sha256(text).hexdigest()[:16]
+        self.digest = hashlib.sha256(text).hexdigest()[:16]
 
     def file_of(self, episode_id: str) -> Path:
         """Return where the observations of an episode are, or would be, stored."""
@@ -273,11 +277,11 @@ class ObservationFolder:
             arrays: What `ObservationRenderer.render` returned, with the settings of this folder.
             names: What the numbers in the segmentations stand for.
         """
-        write_observations(self.file_of(episode.id), episode, arrays, names=names, settings=self._digest)
+        write_observations(self.file_of(episode.id), episode, arrays, names=names, settings=self.digest)
 
     def __getitem__(self, episode_id: str) -> dict[str, NDArray[Any]]:
         """Read the observations of an episode, as `read_observations`."""
-        return read_observations(self.file_of(episode_id), settings=self._digest, layout=self.settings.layout)
+        return read_observations(self.file_of(episode_id), settings=self.digest, layout=self.settings.layout)
 
     def of(self, episode: Episode) -> dict[str, NDArray[Any]]:
         """Read the observations of a recording, and of no other with the same id.
@@ -286,7 +290,7 @@ class ObservationFolder:
             FileNotFoundError, DamagedFileError: As `read_observations`.
         """
         layout = self.settings.layout if len(episode) else None  # an episode without steps has no arrays
-        return read_observations(self.file_of(episode.id), of=episode, settings=self._digest, layout=layout)
+        return read_observations(self.file_of(episode.id), of=episode, settings=self.digest, layout=layout)
 
 
 def _settings(path: Path, text: bytes) -> ObservationSettings:

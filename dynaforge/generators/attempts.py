@@ -6,14 +6,14 @@ import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import islice
-from types import GeneratorType
 from typing import Any
 
 from dynaforge.demos import Attempt, Episode
 from dynaforge.generators.generator import Generator, make_env
-from dynaforge.sampling.jobs import in_order
+from dynaforge.sampling.jobs import Workers, in_order
 from dynaforge.sampling.processes import NoWorkers, kill_pool, started_pool, usable_cores, worker_pool
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Task
@@ -63,22 +63,22 @@ def run_attempts(
     Raises:
         NoWorkers: Workers cannot start, or the env cannot be made in them; the message says why.
     """
-    yield from in_one_block(in_order(_Processes(task, generator, workers or usable_cores()), conditions), block)
+    yield from in_one_block(_Processes(task, generator, workers or usable_cores()), conditions, block=block)
 
 
-def in_one_block(results: Iterator[Result], block: int) -> Iterator[Result]:
-    """Yield results as parts of a block of conditions.
+def in_one_block(
+    workers: Workers[Condition, Result], conditions: Iterable[Condition], *, block: int
+) -> Iterator[Result]:
+    """Attempt every condition and yield the results in order; the workers end with the iteration.
 
     Args:
-        results: The results, whose workers end with the iteration.
-        block: Its number.
+        workers: What makes the attempts.
+        conditions: May be endless if the caller stops iterating.
+        block: Block number noted with every attempt.
     """
-    try:
+    with closing(in_order(workers, conditions)) as results:
         for result in results:
             yield result.in_block(block)
-    finally:
-        if isinstance(results, GeneratorType):
-            results.close()
 
 
 class _Processes:

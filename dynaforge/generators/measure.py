@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 
 from tqdm import tqdm
 
 from dynaforge.demos import Attempt
-from dynaforge.generators.attempts import Result, run_attempts
+from dynaforge.generators.attempts import run_attempts
+from dynaforge.generators.collecting import Engine
 from dynaforge.generators.generator import Generator
 from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
@@ -15,7 +17,13 @@ from dynaforge.tasks import Task
 
 
 def measure(
-    task: Task, generator: Generator, blocks: Iterable[Iterable[Condition]], *, total: int, workers: int | None = None
+    task: Task,
+    generator: Generator,
+    blocks: Iterable[Iterable[Condition]],
+    *,
+    total: int,
+    workers: int | None = None,
+    engine: Engine | None = None,
 ) -> list[Attempt]:
     """Attempt conditions, with a progress bar, and return the attempts without recordings.
 
@@ -24,16 +32,24 @@ def measure(
         generator: What attempts the conditions.
         blocks: The conditions of block 0, block 1 and so on.
         total: Number of conditions in all, for the bar.
-        workers: Number of processes; by default one per core that this process may use.
+        workers: Number of processes or actors; by default one per core that the engine may use.
+        engine: What runs attempts; by default `run_attempts`.
 
     Raises:
         GaveUp: The generator only raises, so that there is nothing to measure.
     """
 
-    def results() -> Iterable[Result]:
-        for block, conditions in enumerate(blocks):
-            yield from run_attempts(task, generator, conditions, block=block, workers=workers)
+    block_of: deque[int] = deque()  # of the attempts in progress
 
-    measured = refuse_if_all_raise(iter(results()), generator=generator.name)
+    def conditions() -> Iterator[Condition]:
+        for block, drawn in enumerate(blocks):
+            for condition in drawn:
+                block_of.append(block)
+                yield condition
+
+    # One call for all blocks, since workers take longer to start than to make a block.
+    run = engine or run_attempts
+    results = (result.in_block(block_of.popleft()) for result in run(task, generator, conditions(), workers=workers))
+    measured = refuse_if_all_raise(results, generator=generator.name)
     bar = tqdm(measured, total=total, leave=False, unit="attempt", desc=generator.name)
     return [result.attempt for result in bar]

@@ -14,7 +14,6 @@ from dynaforge.generators.attempts import (
     in_one_block,
 )
 from dynaforge.generators.generator import Generator, make_env
-from dynaforge.sampling.jobs import in_order
 from dynaforge.sampling.ray_jobs import RayJobs
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
@@ -61,4 +60,4 @@ def run_attempts_on_ray(
         queued=ATTEMPTS_PER_WORKER,
         timeout=TIMEOUT,
     )
-    yield from in_one_block(in_order(actors, conditions), block)
+    yield from in_one_block(actors, conditions, block=block)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Generator, Iterable, Iterator, Sized
 from typing import Protocol, TypeVar
 
 Job = TypeVar("Job", contravariant=True)
@@ -26,7 +26,7 @@ class Workers(Protocol[Job, Result]):
         """End all workers."""
 
 
-def in_order(workers: Workers[Job, Result], jobs: Iterable[Job]) -> Iterator[Result]:
+def in_order(workers: Workers[Job, Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
     """Do jobs and yield their results in order; the workers end with the iteration.
 
     Args:

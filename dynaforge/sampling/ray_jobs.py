@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 import os
-import signal
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from dynaforge.registration import TASK_FILES_VARIABLE
 from dynaforge.sampling.processes import SINGLE_THREAD, NoWorkers
+from dynaforge.sampling.ray_cluster import cluster_cores, connect_to_ray
 
 NO_ACTOR_TIMEOUT = 300.0  # seconds without any ready actor after which the jobs end
 MAX_ACTOR_DEATHS = 3  # actors that die during a job before it counts as failed
 LONGEST_WAIT = 1.0  # seconds between two looks at jobs that may hang
+ANSWER_TIMEOUT = 2.0  # seconds that a worker may take for an answer
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -35,6 +35,9 @@ class _Actor:
 
     def do(self, job: Any) -> Any:
         return self._worker(job)
+
+    def ask(self, method: str) -> Any:
+        return getattr(self._worker, method)()
 
 
 @dataclass(slots=True, eq=False)
@@ -75,6 +78,7 @@ class RayJobs(Generic[Job, Result]):
         size: Number of actors; by default one per core of the cluster.
         queued: Jobs that an actor is given at a time; with two it never waits for the next.
         timeout: Seconds after which a job counts as hanging.
+        answering: Whether the workers can be asked something during a job, see `ask`.
 
     Attributes:
         running: The jobs whose results have not been taken, oldest first.
@@ -92,13 +96,15 @@ class RayJobs(Generic[Job, Result]):
         size: int | None = None,
         queued: int = 2,
         timeout: float = math.inf,
+        answering: bool = False,
     ) -> None:
         self._ray = connect_to_ray()
-        size = size or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        size = size or cluster_cores()
         self.running: list[_HandedOut[Job]] = []
         self._failed, self._queued, self._timeout = failed, queued, timeout
         inherited = SINGLE_THREAD | {TASK_FILES_VARIABLE: os.environ.get(TASK_FILES_VARIABLE, "")}
-        make = self._ray.remote(num_cpus=1, max_restarts=0, runtime_env={"env_vars": inherited})(_Actor)
+        options = {"num_cpus": 1, "max_restarts": 0, "max_concurrency": 1 + answering}
+        make = self._ray.remote(runtime_env={"env_vars": inherited}, **options)(_Actor)
         self._make: Callable[[], Any] = lambda: make.remote(make_worker)
         self._actors: list[Any] = [None] * size
         self._queues: list[deque[_HandedOut[Job]]] = [deque() for _ in range(size)]
@@ -144,6 +150,16 @@ class RayJobs(Generic[Job, Result]):
         if awaited:
             self._ray.wait(awaited, num_returns=1, timeout=seconds)
         self._check_jobs()
+
+    def ask(self, method: str) -> list[tuple[Job, Any]]:
+        """Call a method of every worker that is at a job; return these jobs with the answers that come soon.
+
+        Args:
+            method: Name of the method; it takes no arguments and runs in another thread than the job.
+        """
+        asked = {self._actors[k].ask.remote(method): queue[0].job for k, queue in enumerate(self._queues) if queue}
+        answered = self._done(asked, seconds=ANSWER_TIMEOUT)
+        return [(asked[reference], self._ray.get(reference)) for reference in answered if self._succeeded(reference)]
 
     def kill(self) -> None:
         """End all actors."""
@@ -229,10 +245,10 @@ class RayJobs(Generic[Job, Result]):
                 "recorded stays. Check `ray status` for free cores, and that dynaforge is installed on every node."
             )
 
-    def _done(self, references: Any) -> list[Any]:
-        """Return the references that have a result or an error by now."""
+    def _done(self, references: Iterable[Any], *, seconds: float = 0.0) -> list[Any]:
+        """Return the references that have a result or an error by now, or within a time."""
         listed = list(references)
-        return list(self._ray.wait(listed, num_returns=len(listed), timeout=0)[0]) if listed else []
+        return list(self._ray.wait(listed, num_returns=len(listed), timeout=seconds)[0]) if listed else []
 
     def _succeeded(self, reference: Any) -> bool:
         try:
@@ -240,29 +256,3 @@ class RayJobs(Generic[Job, Result]):
         except self._ray.exceptions.RayError:
             return False
         return True
-
-
-def connect_to_ray() -> Any:
-    """Connect to a running Ray cluster and return the module ray.
-
-    Raises:
-        ImportError: Ray, of the `[ray]` extra, is missing.
-        ConnectionError: No cluster is running.
-    """
-    try:
-        import ray
-    except ImportError as error:
-        raise ImportError("Engine ray needs Ray: pip install 'dynaforge[ray]'.") from error
-    if not ray.is_initialized():
-        on_sigterm = signal.getsignal(signal.SIGTERM)
-        try:
-            ray.init(address=os.environ.get("RAY_ADDRESS", "auto"), log_to_driver=False)
-        except ConnectionError as error:
-            raise ConnectionError(
-                "No Ray cluster is running here: `ray start --head` begins one, RAY_ADDRESS names another; or leave "
-                "out --engine ray to use the cores of this machine."
-            ) from error
-        finally:
-            if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGTERM, on_sigterm)  # Ray sets its own, which would not let commands clean up
-    return ray

@@ -25,7 +25,8 @@ from dynaforge.demos.dataset import FORMAT
 from dynaforge.demos.episode_file import FORMAT_VERSION
 from dynaforge.sim.setting import Setting
 from dynaforge.training import run as runs
-from dynaforge.training import run_pool
+from dynaforge.training import run_process
+from dynaforge.training.ray_runs import MadeRun
 from dynaforge.training.run_spec import Evaluation, RunSpec
 from dynaforge.training.stored_training import CHECKPOINT
 from dynaforge.zoo import scripts as zoo
@@ -164,9 +165,22 @@ def test_a_comparison_writes_its_log_through_no_link(tmp_path: Path, monkeypatch
     spec = ppo_run({}, tmp_path / "run")
     spec.folder.mkdir()
     (spec.folder / "log.txt").symlink_to(mine)
-    monkeypatch.setattr(run_pool.subprocess, "Popen", end)
+    monkeypatch.setattr(run_process.subprocess, "Popen", end)
     with pytest.raises(KeyboardInterrupt):
-        run_pool.RunPool([spec], 1, seconds=1.0)._start(spec)
+        run_process.start_run(spec)
+    assert mine.read_text() == "years of work"
+
+
+def test_a_run_from_a_cluster_is_written_through_no_link(tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    mine.write_text("years of work")
+    for status, name in ((1, "log.txt"), (0, "exam.json")):
+        spec = ppo_run({}, tmp_path / name)
+        spec.folder.mkdir()
+        (spec.folder / name).symlink_to(mine)
+        MadeRun(spec, status, {name: b"{}"}).store()
+        assert (spec.folder / name).read_bytes() == b"{}"
+        assert not (spec.folder / name).is_symlink()
     assert mine.read_text() == "years of work"
 
 

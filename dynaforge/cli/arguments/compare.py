@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.arguments.shared import add_stream, add_workers
+from dynaforge.cli.arguments.shared import add_engine, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
 from dynaforge.options.numbers import LARGEST_COUNT, Number, WholeNumber, minutes
@@ -45,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar=("SETTING", "VALUE"),
         help="a variant for each value, e.g. learning_rate 5e-4 1e-3",
     )
-    add_workers(parser, "runs at a time, one core each")
+    add_engine(parser, "runs at a time, one core each")
     parser.add_argument("--budget", type=minutes, help="stop after so long (90s, 10m, 8h); the same command resumes")
     parser.add_argument(
         "--out", type=OutputPath("folder"), default="runs/compare", help="folder of the runs and the report"

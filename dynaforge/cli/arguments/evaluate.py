@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dynaforge.cli.arguments.generators import add_policy, check_generators
 from dynaforge.cli.arguments.setting import chosen_parts
-from dynaforge.cli.arguments.shared import add_observations, add_stream, add_workers
+from dynaforge.cli.arguments.shared import add_engine, add_observations, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
 from dynaforge.generators.names import GENERATORS
@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="random residuals per condition for oracle: constant, redrawn for each phase, with feedback (default 64)",
     )
     parser.add_argument("--sigma", type=Number(0.0, 100.0), help="noise, for the generator exploring (default 0.25)")
-    add_workers(parser)
+    add_engine(parser)
     parser.add_argument(
         "--out",
         type=OutputPath("file"),

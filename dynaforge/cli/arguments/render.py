@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from dynaforge.cli.arguments.datasets import add_dataset_arguments
-from dynaforge.cli.arguments.shared import add_workers
+from dynaforge.cli.arguments.shared import add_engine
 from dynaforge.cli.command import Command
 from dynaforge.options.numbers import Number, WholeNumber
 from dynaforge.options.parser import Distinct
@@ -44,7 +44,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
         help="box that the points are cropped to, metres; by default all that the tasks reach, above the table",
     )
-    add_workers(parser)
+    add_engine(parser)
     parser.add_argument(
         "--out",
         type=OutputPath("folder", containing="settings.json"),
