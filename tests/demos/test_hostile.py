@@ -17,7 +17,7 @@ from demo_episodes import make_episode
 
 from dynaforge.cli.main import main
 from dynaforge.demos import DamagedFileError, DemonstrationDataset
-from dynaforge.demos.episode_file import write_sealed
+from dynaforge.demos.episode_file import sealed as with_seal
 from dynaforge.demos.observations import ObservationFolder, ObservationSettings, standard_cameras
 from dynaforge.demos.untrusted import parse_json
 from dynaforge.demos.verification import verify
@@ -180,7 +180,7 @@ HOSTILE: dict[str, Callable[[h5py.File], object]] = {
 @pytest.mark.parametrize("what", HOSTILE)
 def test_a_sealed_file_with_hostile_content_is_a_finding(dataset: DemonstrationDataset, what: str) -> None:
     path = dataset.file_of(make_episode(0).id)
-    write_sealed(path, sealed(HOSTILE[what]))
+    path.write_bytes(with_seal(sealed(HOSTILE[what])))
     with pytest.raises(DamagedFileError):
         dataset[path.stem]
     assert path.name in names(dataset)
@@ -211,7 +211,7 @@ def test_a_sealed_file_with_hostile_content_is_a_finding(dataset: DemonstrationD
 def test_a_header_of_other_types_is_a_finding(dataset: DemonstrationDataset, change: dict[str, object]) -> None:
     path = dataset.file_of(make_episode(0).id)
     header = json.dumps(make_episode(0).header() | change)
-    write_sealed(path, sealed(lambda file: file.attrs.__setitem__("header", header)))
+    path.write_bytes(with_seal(sealed(lambda file: file.attrs.__setitem__("header", header))))
     with pytest.raises(DamagedFileError):
         dataset[path.stem]
     assert path.name in names(dataset)
@@ -240,7 +240,7 @@ def test_hostile_observations_are_a_finding(dataset: DemonstrationDataset, what:
                 file[name] = np.zeros((20, *shape), kind)
         BAD_PICTURES[what](file)
 
-    write_sealed(observations.file_of(episode.id), sealed(fill))
+    observations.file_of(episode.id).write_bytes(with_seal(sealed(fill)))
     with pytest.raises(DamagedFileError, match=r"front/rgb"):
         observations.of(episode)
 
