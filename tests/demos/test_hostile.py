@@ -234,7 +234,7 @@ def test_hostile_observations_are_a_finding(dataset: DemonstrationDataset, what:
     observations, episode = ObservationFolder(dataset.path / "observations"), make_episode(0)
 
     def fill(file: h5py.File) -> None:
-        file.attrs["content_hash"], file.attrs["settings"] = episode.content_hash(), observations._digest
+        file.attrs["content_hash"], file.attrs["settings"] = episode.content_hash(), observations.digest
         for name, (shape, kind) in observations.settings.layout.items():
             if name != "front/rgb":
                 file[name] = np.zeros((20, *shape), kind)
