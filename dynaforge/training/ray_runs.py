@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -59,6 +60,7 @@ class RunMaker:
     def __init__(self) -> None:
         self._progress: dict[str, Any] = {}
         self._process: RunProcess | None = None
+        self._at_work = threading.Lock()
 
     def __call__(self, spec: RunSpec) -> MadeRun:
         """Make a run from the beginning.
@@ -66,7 +68,7 @@ class RunMaker:
         Args:
             spec: The run; its folder is the one at the driver.
         """
-        with tempfile.TemporaryDirectory(prefix="dynaforge-") as top:
+        with self._at_work, tempfile.TemporaryDirectory(prefix="dynaforge-") as top:
             folder = Path(top) / spec.variant / spec.folder.name
             self._process = start_run(replace(spec, folder=folder))
             for message in progress_of(self._process):
@@ -80,9 +82,11 @@ class RunMaker:
         return self._progress
 
     def stop(self) -> None:
-        """End the run in progress, so that its temporary folder goes."""
+        """End the run in progress and wait until its temporary folder is gone."""
         if self._process is not None:
             self._process.terminate()
+        with self._at_work:
+            pass
 
 
 class RayRuns:

@@ -77,6 +77,7 @@ COMMAND = Command(
     examples=(
         "compare --task can --algos grpo frontier_grpo",
         "compare --algos grpo --vary learning_rate 5e-4 1e-3",
+        "compare --task all --engine ray --budget 8h",
     ),
     add=add,
     check=check,

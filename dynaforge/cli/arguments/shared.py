@@ -14,13 +14,21 @@ MOST_WORKERS = 1000
 ENGINES = ("local", "ray")
 
 
-def add_workers(parser: argparse.ArgumentParser, meaning: str = "processes") -> None:
-    """Add --workers."""
+def add_workers(
+    parser: argparse.ArgumentParser, meaning: str = "processes", cores: str = "that this process may use"
+) -> None:
+    """Add --workers.
+
+    Args:
+        parser: Parser of the command.
+        meaning: What it is the number of.
+        cores: Which cores are counted for the default.
+    """
     parser.add_argument(
         "--workers",
         type=WholeNumber(1, MOST_WORKERS),
         default=usable_cores(),
-        help=f"{meaning}; by default one per core that this process may use",
+        help=f"{meaning}; by default one per core {cores}",
     )
 
 
@@ -31,7 +39,7 @@ def add_engine(parser: argparse.ArgumentParser, workers: str = "processes, or ac
         parser: Parser of the command.
         workers: What --workers is the number of.
     """
-    add_workers(parser, workers)
+    add_workers(parser, workers, "that this process may use, or of the cluster")
     parser.set_defaults(workers=None)
     parser.add_argument(
         "--engine",
