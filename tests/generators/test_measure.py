@@ -29,5 +29,5 @@ def test_the_attempts_of_all_blocks_come_from_one_call_and_bear_the_number_of_th
             running += islice(source, 1)
 
     measured = measure(CAN, PlannerOnly(), blocks, total=8, workers=7, engine=engine)
-    assert [(a.block, a.id) for a in measured] == [(k, c.id) for k, block in enumerate(blocks) for c in block]
+    assert [(a.block, a.condition.id) for a in measured] == [(k, c.id) for k, block in enumerate(blocks) for c in block]
     assert asked_workers == [7]
