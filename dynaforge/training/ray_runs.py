@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dynaforge.files.atomic import atomic_write
+from dynaforge.geometry import one_line
 from dynaforge.sampling.ray_cluster import cluster_cores
 from dynaforge.sampling.ray_jobs import RayJobs
 from dynaforge.training.run_archive import EVALUATED
@@ -34,6 +35,8 @@ class MadeRun:
     status: int
     files: dict[str, bytes] = field(default_factory=dict)
     problem: str = ""
+
+    __repr__ = one_line
 
     def store(self) -> str:
         """Write the files into the folder of the run, the one that marks it as finished last; return why it failed.
