@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +166,13 @@ def stiffen(client: Any, body: int) -> None:
         client.changeDynamics(body, link, contactStiffness=STIFFNESS, contactDamping=DAMPING)
 
 
-def soften_hand(client: Any, body: int, fingers: list[int]) -> None:
+def palm_of(client: Any, body: int, fingers: Sequence[int]) -> int:
+    """Return Bullet's index of the link that carries both fingers, given the indices of their joints."""
+    palm: int = client.getJointInfo(body, fingers[0])[16]
+    return palm
+
+
+def soften_hand(client: Any, body: int, fingers: Sequence[int]) -> None:
     """Let the surface of fingers and palm yield like the pads of a real hand, with the elastic arm behind them.
 
     Where rigid bodies meet, the speed of an impact is undone within one substep, whose force then is a multiple of what
@@ -177,8 +183,7 @@ def soften_hand(client: Any, body: int, fingers: list[int]) -> None:
         body: Bullet's index of the robot.
         fingers: Indices of the finger joints, both on the palm.
     """
-    palm = client.getJointInfo(body, fingers[0])[16]
-    for link in (palm, *fingers):
+    for link in (palm_of(client, body, fingers), *fingers):
         client.changeDynamics(body, link, contactStiffness=HAND_STIFFNESS, contactDamping=HAND_DAMPING)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from dynaforge.sim.bullet import palm_of
 from dynaforge.sim.bullet import pybullet as p
 from dynaforge.sim.hidden import HIDDEN
 from dynaforge.sim.robot import RobotDescription
@@ -183,7 +184,7 @@ def weigh_fingers(client: Any, body: int, fingers: Sequence[int]) -> None:
         body: Bullet's index of the robot.
         fingers: Bullet's indices of the two finger joints.
     """
-    palm = client.getJointInfo(body, fingers[0])[16]
+    palm = palm_of(client, body, fingers)
     masses = [client.getDynamicsInfo(body, link)[0] for link in (palm, *fingers)]
     for link, mass in zip((palm, *fingers), (sum(masses) - 2 * FINGER_MASS, FINGER_MASS, FINGER_MASS), strict=True):
         inertia = client.getDynamicsInfo(body, link)[2]
