@@ -11,27 +11,19 @@ from pathlib import Path
 import pytest
 
 from dynaforge.files import atomic
-from dynaforge.sim.setting import Setting
+from dynaforge.tasks import get_task
 from dynaforge.training import ray_runs
+from dynaforge.training.matrix import run_matrix
 from dynaforge.training.ray_runs import MadeRun, RunMaker
 from dynaforge.training.run_pool import News, RunPool
 from dynaforge.training.run_process import LocalRuns
-from dynaforge.training.run_spec import PLANNER_ONLY, Evaluation, RunSpec
+from dynaforge.training.run_spec import Evaluation, RunSpec
 from dynaforge.training.stored_training import CHECKPOINT
 
 
 def planner(folder: Path) -> RunSpec:
-    return RunSpec(
-        task="can",
-        setting=Setting(),
-        variant=PLANNER_ONLY,
-        algo="",
-        changes={},
-        seed=0,
-        steps=0,
-        evaluation=Evaluation("val", 1, 1),
-        folder=folder,
-    )
+    (spec,) = run_matrix([get_task("can")], {}, seeds=0, steps=0, evaluation=Evaluation("val", 1, 1), out=folder)
+    return replace(spec, folder=folder)
 
 
 class Told:
