@@ -76,7 +76,7 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
     """
     settings = {
         key: value
-        for key in ("policy", "sigma", "oracle_tries", "learner", "observations")
+        for key in ("policy", "lead_time", "sigma", "oracle_tries", "learner", "observations")
         if (value := getattr(options, key, None)) is not None
     }
     try:

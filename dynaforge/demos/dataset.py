@@ -10,7 +10,7 @@ from pathlib import Path
 from dynaforge.demos.episode import Attempt, Episode
 from dynaforge.demos.episode_file import FORMAT_VERSION, SUFFIX, read_episode, write_episode
 from dynaforge.demos.ledger import Ledger
-from dynaforge.demos.provenance import Provenance, check_setting
+from dynaforge.demos.provenance import Provenance, check_lead_time, check_setting
 from dynaforge.demos.untrusted import DamagedFileError, files_in, kind_of, printable, read_json
 from dynaforge.files.atomic import atomic_write, check_writable, is_temporary, remove_stale, sync_folder
 from dynaforge.sim.checks import check_flag, check_kind, check_task_name
@@ -142,11 +142,12 @@ class DemonstrationDataset:
         Raises:
             PermissionError: The dataset was opened for reading only.
             ValueError: The folder contains attempts of another policy, with another definition of the task, or, by
-                whatever generator, under another setting.
+                whatever generator, under another setting or with another prediction in the planner.
         """
         self._check(self.task)
         sources = self.sources()
         check_setting(str(self.path), sources.values(), source.setting)
+        check_lead_time(str(self.path), sources.values(), source.lead_time)
         noted = sources.get(generator)
         if noted == source:
             return

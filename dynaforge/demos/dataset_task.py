@@ -38,7 +38,8 @@ def task_of(dataset: DemonstrationDataset, given: str | None) -> Task:
         )
     sources = _sources(dataset)
     recorded, (task, *others) = {source.task_definition for source in sources}, _settings(task, sources)
-    variants = (variant for each in (task, *others) for variant in _variants(each))
+    leads = dict.fromkeys((0.0, *(source.lead_time for source in sources)))
+    variants = (variant for each in (task, *others) for lead in leads for variant in _variants(each, lead))
     variant = next((same for same in variants if task_digest(same) in recorded), None)
     if variant is None and recorded and (file := task_file_name(task)):
         raise ValueError(
@@ -57,8 +58,9 @@ def _settings(task: Task, sources: list[Provenance]) -> list[Task]:
     return found or [task]
 
 
-def _variants(task: Task) -> Iterable[Task]:
-    """Yield the task as it is, then as `forge --residual-frame` changes it."""
+def _variants(task: Task, lead_time: float) -> Iterable[Task]:
+    """Yield the task with a lead time if there is one, then as `forge --residual-frame` changes it."""
+    task = replace(task, lead_time=lead_time) if lead_time else task
     yield task
     for frame in FRAMES:
         yield replace(task, residual=replace(task.residual, frame=frame))

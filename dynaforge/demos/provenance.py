@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from dynaforge.sim.checks import check_kind
+from dynaforge.sim.checks import check_kind, check_number
 from dynaforge.sim.setting import Setting
 
 
@@ -20,18 +20,21 @@ class Provenance:
         task_file: Name of the file that defined the task; "" for a task of the package. Only for messages: a dataset
             may come from anybody, so nothing that it names is ever imported.
         setting: Setting of the task; None where it was not noted.
+        lead_time: Seconds of constant-velocity prediction in the planner, which belongs to the definition too.
     """
 
     policy: str
     task_definition: str
     task_file: str = field(default="", compare=False)
     setting: Setting | None = field(default=None, compare=False)
+    lead_time: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
         check_kind("Provenance: policy", self.policy, str)
         check_kind("Provenance: task_definition", self.task_definition, str)
         check_kind("Provenance: task_file", self.task_file, str)
         check_kind("Provenance: setting", self.setting, (Setting, type(None)))
+        check_number("Provenance: lead_time", self.lead_time, least=0.0)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, without what is not known."""
@@ -40,6 +43,7 @@ class Provenance:
             "task_definition": self.task_definition,
             **({"task_file": self.task_file} if self.task_file else {}),
             **({} if self.setting is None else {"setting": self.setting.to_dict()}),
+            **({"lead_time": self.lead_time} if self.lead_time else {}),
         }
 
     @staticmethod
@@ -72,4 +76,20 @@ def check_setting(place: str, sources: Iterable[Provenance], setting: Setting | 
         raise ValueError(
             f"{place} holds attempts under another setting ({others[0]}) than this one ({setting}). Choose another "
             f"folder, or that setting: {flags}."
+        )
+
+
+def check_lead_time(place: str, sources: Iterable[Provenance], lead_time: float) -> None:
+    """Raise ValueError if attempts were made with another prediction in the planner than one that is asked for.
+
+    Args:
+        place: Where the attempts are, for the message.
+        sources: What made them.
+        lead_time: What is asked for, seconds.
+    """
+    others = [source.lead_time for source in sources if source.lead_time != lead_time]
+    if others:
+        raise ValueError(
+            f"{place} holds attempts of a planner that predicts by {others[0]:g} s, not by {lead_time:g} s. Choose "
+            "another folder."
         )

@@ -10,6 +10,7 @@ from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOn
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.names import GENERATORS
 from dynaforge.generators.oracle import Oracle
+from dynaforge.generators.prediction import Prediction, chosen_lead_time
 from dynaforge.sim.setting import Setting
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_file_name
@@ -21,6 +22,7 @@ def make_generator(
     task: Task,
     *,
     policy: Path | None = None,
+    lead_time: float | None = None,
     sigma: float = 0.25,
     oracle_tries: int = 64,
     learner: str | None = None,
@@ -33,6 +35,7 @@ def make_generator(
         name: One of `GENERATORS`.
         task: What it attempts.
         policy: Policy file for "residual" and "exploring"; None takes the one that is shipped for the task.
+        lead_time: Seconds of constant-velocity prediction for "prediction"; None takes the stored choice.
         sigma: Standard deviation of the noise for "exploring", in units of the residual action.
         oracle_tries: Residuals that "oracle" tries on each condition.
         learner: Where the policy of "learner" comes from: "module:function" or "file.py:function".
@@ -45,6 +48,8 @@ def make_generator(
     match name:
         case "planner_only":
             return PlannerOnly()
+        case "prediction":
+            return Prediction(chosen_lead_time(task) if lead_time is None else lead_time)
         case "residual":
             trained = policy_for(task, policy, chosen=chosen)
             return ResidualGenerator(trained, policy_hash=trained.digest, trained_under=setting_of(trained))

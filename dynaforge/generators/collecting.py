@@ -15,7 +15,7 @@ from itertools import chain
 from dynaforge.demos import Attempt, DemonstrationDataset
 from dynaforge.demos.provenance import Provenance
 from dynaforge.generators.attempts import Result, run_attempts
-from dynaforge.generators.generator import Generator
+from dynaforge.generators.generator import Generator, attempted_task
 from dynaforge.generators.giving_up import MIN_ATTEMPTS, GaveUp
 from dynaforge.sim import Condition
 from dynaforge.sim.checks import check_kind, check_whole
@@ -136,7 +136,9 @@ def _check_arguments(dataset: object, task: object, goal: object, source: object
 
 
 def _provenance(generator: Generator, task: Task) -> Provenance:
-    return Provenance(getattr(generator, "policy_hash", ""), task_digest(task), task_file_name(task), task.setting)
+    file, task = task_file_name(task), attempted_task(generator, task)
+    policy = getattr(generator, "policy_hash", "")
+    return Provenance(policy, task_digest(task), file, task.setting, task.lead_time)
 
 
 class _Progress:

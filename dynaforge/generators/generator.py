@@ -36,7 +36,9 @@ class ResidualPolicy(Protocol):
 class Generator(Protocol):
     """Attempts conditions; picklable, so that workers can run it.
 
-    A generator that acts in another env than `ResidualEnv` has a method `make_env(task)`, which returns that env.
+    A generator that acts in another env than `ResidualEnv` has a method `make_env(task)`, which returns that env. One
+    that changes the task, as `Prediction` does the lead time of its planner, has a method `attempted(task)`, which
+    returns what it attempts instead.
     """
 
     @property
@@ -49,9 +51,16 @@ class Generator(Protocol):
         ...
 
 
+def attempted_task(generator: Generator, task: Task) -> Task:
+    """Return the task as a generator attempts it: the same conditions, but perhaps another planner."""
+    change: Callable[[Task], Task] | None = getattr(generator, "attempted", None)
+    return task if change is None else change(task)
+
+
 def make_env(generator: Generator, task: Task) -> Any:
     """Return a new env for a generator to act in."""
     make: Callable[[Task], Any] | None = getattr(generator, "make_env", None)
+    task = attempted_task(generator, task)
     # Attempts are listened to, so that they share no prefix.
     return ResidualEnv(task, share_prefix=False) if make is None else make(task)
 
