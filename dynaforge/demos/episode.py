@@ -198,27 +198,39 @@ class Attempt(AttemptFacts):
     Attributes:
         condition, generator, outcome, duration, loads: As in `AttemptFacts`.
         wall_seconds: Real time the attempt took; 0 where it is not known.
+        cpu_seconds: Processor time that it took; None where it is not known.
         block: Which block of conditions it belongs to; standard deviations are over blocks.
         recorded: Whether its recording was kept.
     """
 
     wall_seconds: float = 0.0
+    cpu_seconds: float | None = None
     block: int = 0
     recorded: bool = False
 
     def __post_init__(self) -> None:
         AttemptFacts.__post_init__(self)
         check_number("Attempt: wall_seconds", self.wall_seconds, least=0.0)
+        if self.cpu_seconds is not None:
+            check_number("Attempt: cpu_seconds", self.cpu_seconds, least=0.0)
         check_whole("Attempt: block", self.block, least=0)
         check_flag("Attempt: recorded", self.recorded)
 
     @staticmethod
-    def of(episode: Episode, *, wall_seconds: float = 0.0, block: int = 0, recorded: bool = False) -> Attempt:
+    def of(
+        episode: Episode,
+        *,
+        wall_seconds: float = 0.0,
+        cpu_seconds: float | None = None,
+        block: int = 0,
+        recorded: bool = False,
+    ) -> Attempt:
         """Return the ledger's line of an episode.
 
         Args:
             episode: What happened.
             wall_seconds: Real time the attempt took; 0 where it is not known.
+            cpu_seconds: Processor time that it took; None where it is not known.
             block: Which block of conditions it belongs to.
             recorded: Whether its recording was kept.
         """
@@ -229,6 +241,7 @@ class Attempt(AttemptFacts):
             duration=episode.duration,
             loads=episode.loads,
             wall_seconds=wall_seconds,
+            cpu_seconds=cpu_seconds,
             block=block,
             recorded=recorded,
         )
@@ -238,6 +251,7 @@ class Attempt(AttemptFacts):
         return {
             **self.facts(),
             "wall_seconds": float(self.wall_seconds),
+            **({} if self.cpu_seconds is None else {"cpu_seconds": float(self.cpu_seconds)}),
             "block": int(self.block),
             "recorded": bool(self.recorded),
         }

@@ -104,7 +104,7 @@ class Cost:
     def attempts_interval(self) -> Interval:
         """The attempts that the ends of the DGR's Wilson 95 % interval give; the upper end may be infinite."""
         low, high = self.count.interval
-        return self.demos / high, self.demos / low if self.count.successes else math.inf
+        return Interval(self.demos / high, self.demos / low if self.count.successes else math.inf)
 
     @property
     def collection(self) -> float:

@@ -158,12 +158,14 @@ def attempt_once(env: Any, generator: Generator, condition: Condition) -> Result
         generator: What attempts the condition.
         condition: The condition.
     """
-    start = time.perf_counter()
+    wall, cpu = time.perf_counter(), time.process_time()
     try:
         episode = generator.attempt(env, condition)
+        result = Result(Attempt.of(episode), episode)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a failed attempt, never a missing one
-        return failed_attempt(condition, generator.name, f"exception: {type(error).__name__}: {error}")
-    return Result(Attempt.of(episode, wall_seconds=time.perf_counter() - start), episode)
+        result = failed_attempt(condition, generator.name, f"exception: {type(error).__name__}: {error}")
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return replace(result, attempt=replace(result.attempt, wall_seconds=wall, cpu_seconds=cpu))
 
 
 def failed_attempt(condition: Condition, generator: str, reason: str) -> Result:

@@ -128,6 +128,7 @@ def write_evaluation(
             for attempt in conditions
         ],
         "outcomes": {name: [str(attempt.outcome) for attempt in attempts] for name, attempts in measured.items()},
+        "cpu_seconds": {name: [_rounded(attempt.cpu_seconds) for attempt in found] for name, found in measured.items()},
     }
     _write(path, command, data)
 
@@ -155,6 +156,10 @@ def _evenly_spread(task: Task, attempts: Sequence[Attempt]) -> bool:
 def _by_bin(success: Sequence[bool]) -> list[Sequence[bool]]:
     """Return the success of evenly spread attempts bin by bin."""
     return [success[k::BINS] for k in range(BINS)]
+
+
+def _rounded(seconds: float | None) -> float | None:
+    return None if seconds is None else round(seconds, 4)
 
 
 def _write(path: Path, command: str, data: dict[str, Any]) -> None:

@@ -151,3 +151,13 @@ def test_the_loads_of_an_attempt_are_kept_in_its_line_and_old_lines_have_none(tm
     for wrong in ({"push": 1.0}, {"force": -1.0}, 3):
         with pytest.raises(ValueError, match="loads"):
             Attempt.from_dict(new.to_dict() | {"loads": wrong})
+
+
+def test_an_attempt_tells_its_processor_time_only_where_it_is_known() -> None:
+    """Lines of ledgers that were written without it stay valid, since a line must be one that is written today."""
+    unknown = Attempt.of(make_episode(), wall_seconds=0.5)
+    known = replace(unknown, cpu_seconds=0.25)
+    assert "cpu_seconds" not in unknown.to_dict()
+    assert [Attempt.from_dict(each.to_dict()) for each in (unknown, known)] == [unknown, known]
+    with pytest.raises(ValueError, match="cpu_seconds"):
+        replace(unknown, cpu_seconds=-1.0)

@@ -5,11 +5,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from faulty import Faulty, Unmade
 
 from dynaforge.generators import NoWorkers, PlannerOnly, Result, attempt_once, run_attempts
+from dynaforge.sim import Condition
 from dynaforge.tasks import get_task
 
 TASK = get_task("can")
@@ -35,6 +37,24 @@ def test_an_exception_is_a_failed_attempt_with_its_reason_and_the_order_stays() 
     assert results[0].episode is not None
     assert {r.attempt.block for r in results} == {7}
     assert {r.attempt.generator for r in results} == {"faulty"}
+    assert all(r.attempt.wall_seconds > 0.0 for r in results)
+
+
+def test_an_attempt_knows_the_processor_time_that_it_took_even_if_it_raised() -> None:
+    class Busy:
+        name = "busy"
+
+        def attempt(self, env: Any, condition: Condition) -> Any:
+            time.sleep(0.2)
+            begin = time.process_time()
+            while time.process_time() < begin + 0.1:
+                pass
+            raise RuntimeError
+
+    attempt = attempt_once(None, Busy(), CONDITIONS[0]).attempt
+    assert attempt.cpu_seconds is not None
+    assert 0.1 <= attempt.cpu_seconds < 0.2  # what it slept is no processor time
+    assert attempt.wall_seconds >= 0.3
 
 
 def test_a_generator_that_cannot_be_made_in_the_workers_says_why() -> None:

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
 from dynaforge.demos import Attempt
-from dynaforge.reports.evaluation import BINS, by_generator, gains_over_first, reports_of
+from dynaforge.reports.evaluation import BINS, by_generator, gains_over_first, reports_of, write_evaluation
 from dynaforge.tasks import Outcome, get_task
 
 CAN = get_task("can")
@@ -57,3 +60,11 @@ def test_attempts_are_grouped_by_their_generator() -> None:
     rates = {report.label: (report.total.successes, report.n) for report in reports_of(CAN, by_generator(made))}
     assert rates == {"a": (0, 3), "b": (2, 2)}
     assert list(rates) == ["a", "b"]
+
+
+def test_an_evaluation_stores_the_processor_time_of_every_attempt(tmp_path: Path) -> None:
+    made = [replace(attempt, cpu_seconds=0.5 + k) for k, attempt in enumerate(attempts("a", np.ones(2, bool)))]
+    measured = {"a": [*made, *attempts("a", np.ones(1, bool))]}
+    path = tmp_path / "evaluation.json"
+    write_evaluation(path, CAN, measured, reports=reports_of(CAN, measured), gains=[], policies={}, command="")
+    assert json.loads(path.read_text())["cpu_seconds"] == {"a": [0.5, 1.5, None]}
