@@ -16,7 +16,6 @@ from dynaforge.geometry import Array, rotvec_from_matrix
 from dynaforge.sim import RobotDescription, SceneState
 from dynaforge.tasks import Task
 
-HISTORY = 4  # control steps
 LIMIT = 10.0  # to which scaled features are clipped
 
 # For each tracked body where a task has several, such as the grasped object and the place where it belongs.
@@ -49,7 +48,8 @@ class ObservationBuilder:
         self._time_limit = task.time_limit
         self._others = _others(task)
         self._manipulated = task.manipulated
-        self._history: deque[SceneState] = deque(maxlen=HISTORY)
+        self._n_past = task.residual.history
+        self._history: deque[SceneState] = deque(maxlen=self._n_past)
         self.layout = observation_layout(task, n_actions)
         self.size = sum(size for _, size, _ in self.layout)
         self._scale = np.concatenate([np.full(size, scale) for _, size, scale in self.layout])
@@ -59,7 +59,7 @@ class ObservationBuilder:
     def reset(self, state: SceneState) -> None:
         """Fill the history with the first state."""
         self._history.clear()
-        self._history.extend([state] * HISTORY)
+        self._history.extend([state] * self._n_past)
 
     def push(self, state: SceneState) -> None:
         """Append the state of one control step."""
@@ -89,12 +89,13 @@ class ObservationBuilder:
             rotvec_from_matrix(plan_pose.rotation @ hand.rotation.T),
         )
         turned = np.array(vectors) @ to_frame
-        turned[2 * HISTORY] /= self._dt  # the first after the history, of the hand's position, becomes its velocity
+        end = 2 * self._n_past
+        turned[end] /= self._dt  # the first after the history, of the hand's position, becomes its velocity
         rows = turned.tolist()
-        history = zip(rows[: 2 * HISTORY : 2], rows[1 : 2 * HISTORY : 2], reversed(self._history), strict=True)
+        history = zip(rows[:end:2], rows[1:end:2], reversed(self._history), strict=True)
         parts: Iterable[Sequence[float]] = (
             *(part for where, speed, past in history for part in (where, speed, self._fingers(past))),
-            *rows[2 * HISTORY : -2],
+            *rows[end:-2],
             body.pose.position.tolist(),
             to_frame[:2, 0].tolist(),
             *rows[-2:],
@@ -133,7 +134,7 @@ def _body_features(state: SceneState, name: str) -> tuple[Array, Array, Array]:
 def observation_layout(task: Task, n_actions: int) -> tuple[tuple[str, int, float], ...]:
     """Return (name, size, scale) of every part of the observation, in order."""
     return (
-        *((f"{name}[{-k}]", size, scale) for k in range(HISTORY) for name, size, scale in _PER_STEP),
+        *((f"{name}[{-k}]", size, scale) for k in range(task.residual.history) for name, size, scale in _PER_STEP),
         ("ee_velocity", 3, 1.0),
         ("object_angular_velocity", 3, 20.0),
         *((f"{name}/{part}", size, scale) for name in _others(task) for part, size, scale in _PER_BODY),

@@ -17,7 +17,7 @@ import numpy as np
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks.conditions import ConditionSpace
 from dynaforge.tasks.source import names_used, source_trees, tree_text
-from dynaforge.tasks.task import Task
+from dynaforge.tasks.task import ResidualSpec, Task
 
 _known: dict[int, tuple[Task, tuple[str, str]]] = {}  # by id; the task is kept too, so that its id is not reused
 
@@ -66,6 +66,8 @@ _EXCLUDED: dict[type, tuple[str, ...]] = {
     Task: ("camera", "motion", "randomisation", "goal", "instruction", "skill", "env_name", "setting", "lead_time"),
     ConditionSpace: ("units", "hidden"),
 }
+# Fields that count only where they are not the default, so that what was made before there were any is still accepted.
+_ADDED: dict[type, tuple[str, ...]] = {ResidualSpec: ("history",)}
 _PLAIN = (str, bytes, bool, int, float, np.generic, np.ndarray, tuple, list, Mapping, Enum, functools.partial)
 
 
@@ -83,8 +85,10 @@ class _Parts:
             if not _is_ours(type(value)):
                 yield from self._code(type(value))
             for f in fields(value):
-                if f.name not in _EXCLUDED.get(type(value), ()):
-                    yield from self.of(f.name, getattr(value, f.name))
+                part = getattr(value, f.name)
+                added = f.name in _ADDED.get(type(value), ())
+                if f.name not in _EXCLUDED.get(type(value), ()) and not (added and part == f.default):
+                    yield from self.of(f.name, part)
         elif isinstance(value, Enum):
             yield value.name.encode()
         elif isinstance(value, Mapping):

@@ -46,6 +46,7 @@ class ResidualSpec:
         width: Scale of the gripper width, metres.
         frame: "target": along and about the heading frame of the phase's object; "world": the base frame.
         decision_steps: Control steps for which one residual is kept.
+        history: Control steps, the latest included, whose states the residual policy sees: h_t of Eq. 4.
 
     Raises:
         ValueError: A field of the wrong type or out of range, or all seven scales are 0.
@@ -56,6 +57,7 @@ class ResidualSpec:
     width: float = 0.02
     frame: Frame = "target"
     decision_steps: int = 3
+    history: int = 4
 
     def __post_init__(self) -> None:
         check_numbers("ResidualSpec: translation", self.translation, 3, least=0.0)
@@ -63,6 +65,7 @@ class ResidualSpec:
         check_number("ResidualSpec: width", self.width, least=0.0, most=HAND_WIDTH)
         check_choice("ResidualSpec: frame", self.frame, FRAMES)
         check_whole("ResidualSpec: decision_steps", self.decision_steps, least=1)
+        check_whole("ResidualSpec: history", self.history, least=2)
         if not any(self.scales):
             raise ValueError("ResidualSpec: all seven scales are 0, so a residual could change nothing; switch one on.")
 

@@ -14,7 +14,6 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import dynaforge
-from dynaforge.envs.observation import HISTORY
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.registration import ENV_NAMES
 from dynaforge.sim import Condition, SceneState
@@ -190,7 +189,9 @@ def still_in_fixtures(task: Task) -> set[tuple[str, int]]:
     turning = (("angular_velocity", 0), ("angular_velocity", 1), ("angular_velocity", 2))
     known = {(f"{name}/{part}", i) for name in names for part, i in (*planar, *turning)}
     if names & {phase.target.object for phase in task.phases}:
-        known |= {(part, 2) for part in ("object_position", *(f"object_velocity[{-k}]" for k in range(HISTORY)))}
+        known |= {
+            (part, 2) for part in ("object_position", *(f"object_velocity[{-k}]" for k in range(task.residual.history)))
+        }
         known |= {("object_angular_velocity", i) for i in range(3)}
     return known
 

@@ -8,6 +8,7 @@ import pytest
 from trajectory_hash import Traced, TrajectoryHash, action, condition, lifted, run
 
 from dynaforge.envs.executor import PhaseExecutor
+from dynaforge.envs.observation import residual_sizes
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.envs.world import World
 from dynaforge.geometry import Pose
@@ -264,3 +265,19 @@ def test_a_phase_may_take_a_share_of_the_residual() -> None:
     first = env.trace.steps[-TASK.residual.decision_steps]
     np.testing.assert_allclose(first.residual[:3], 0.25 * TASK.residual.translation[0] * heading, atol=1e-12)
     env.close()
+
+
+def test_a_longer_history_shows_more_of_the_past() -> None:
+    longer = replace(TASK, residual=replace(TASK.residual, history=6))
+    condition = TASK.conditions.stream("val", 0).__next__()
+    envs = [ResidualEnv(task, share_prefix=False) for task in (TASK, longer)]
+    seen = [env.reset(options={"condition": condition})[0] for env in envs]
+    n_step = 9  # numbers of each past step
+    assert seen[1].size == seen[0].size + 2 * n_step == residual_sizes(longer)[0]
+    action = np.full(envs[0].action_space.shape, 0.3, np.float32)
+    for _ in range(3):
+        past = seen
+        seen = [env.step(action)[0] for env in envs]
+        np.testing.assert_array_equal(seen[1][: 4 * n_step], seen[0][: 4 * n_step])
+        np.testing.assert_array_equal(seen[1][6 * n_step :], seen[0][4 * n_step :])
+    assert not np.array_equal(seen[1][4 * n_step : 6 * n_step], past[1][4 * n_step : 6 * n_step])

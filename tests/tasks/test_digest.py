@@ -38,6 +38,11 @@ def test_prediction_in_the_planner_is_another_definition_in_every_setting() -> N
     assert len({digest_in_any_setting(task) for task in led}) == 3
 
 
+def test_a_longer_history_counts_and_the_usual_one_adds_nothing() -> None:
+    with_history = [replace(CAN, residual=replace(CAN.residual, history=n)) for n in (4, 8)]
+    assert [task_digest(task) == task_digest(CAN) for task in with_history] == [True, False]
+
+
 def test_a_setting_changes_the_digest_but_not_that_in_any_setting() -> None:
     others = [CAN.under(reflex=55), CAN.under(physics="wide"), CAN.under(sensing="real")]
     assert len({task_digest(task) for task in (CAN, *others)}) == 4

@@ -211,6 +211,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], tuple[str, ...]]] = {
     "wide": (lambda: residual(width=0.2), ("ResidualSpec: width is 0.2", "at most 0.08")),
     "frame": (lambda: residual(frame="targt"), ("frame is 'targt'", "'world'", "Did you mean 'target'?")),
     "steps": (lambda: residual(decision_steps=0), ("ResidualSpec: decision_steps is 0",)),
+    "one step of history": (lambda: residual(history=1), ("ResidualSpec: history is 1",)),
     "half a step": (lambda: residual(decision_steps=1.5), ("decision_steps is 1.5", "whole")),
     # scene
     "control_dt": (lambda: scene(control_dt=1 / 31), ("control_dt 0.0322581 s is 7.74194 times physics_dt",)),
