@@ -84,6 +84,7 @@ class DgrReport:
             are not known.
         peak_forces: Median, 90th percentile and greatest of the peak contact forces of successes, newtons; None without
             successes, or where loads are not known.
+        lasting_forces: The same of the forces that lasted for two control steps, which the reflex judges.
     """
 
     label: str
@@ -94,6 +95,7 @@ class DgrReport:
     failures: Mapping[str, int]
     under: Mapping[str, Count] = field(default_factory=dict)
     peak_forces: tuple[float, float, float] | None = None
+    lasting_forces: tuple[float, float, float] | None = None
 
     @staticmethod
     def from_attempts(
@@ -136,6 +138,7 @@ class DgrReport:
             failures=failure_counts(records),
             under={name: _bearing(loads, name, len(records)) for name in thresholds} if known else {},
             peak_forces=_spread([load.peak_force for load in loads if load is not None]) if known and loads else None,
+            lasting_forces=_spread([load.force for load in loads if load is not None]) if known and loads else None,
         )
 
     @property
@@ -175,6 +178,7 @@ class DgrReport:
             "derived": derived,
             **({"under": {name: asdict(count) for name, count in self.under.items()}} if self.under else {}),
             **({} if self.peak_forces is None else {"peak_forces": list(self.peak_forces)}),
+            **({} if self.lasting_forces is None else {"lasting_forces": list(self.lasting_forces)}),
         }
 
     @staticmethod
@@ -194,6 +198,7 @@ class DgrReport:
                 failures={str(key): int(value) for key, value in data["failures"].items()},
                 under={str(name): Count(**count) for name, count in data.get("under", {}).items()},
                 peak_forces=_three(data.get("peak_forces")),
+                lasting_forces=_three(data.get("lasting_forces")),
             )
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"Not a DGR report: {error!r}.") from error

@@ -11,8 +11,8 @@ from rich.table import Table
 from dynaforge.evaluation.dgr import DgrReport, cells, render
 from dynaforge.evaluation.statistics import PairedDifference
 
-PEAKS = "peak N"
-"""Column with median, 90th percentile and maximum of the peak contact forces of successes, newtons."""
+_FORCES = {"lasting N": "lasting_forces", "peak N": "peak_forces"}
+"""Columns with median, 90th percentile and maximum of the contact forces of successes, newtons: field of the report."""
 
 
 def comparison_table(reports: Sequence[DgrReport], *, paired: PairedDifference | None = None, width: int = 80) -> str:
@@ -75,23 +75,25 @@ def describe_forces(report: DgrReport) -> str:
         return ""
     rates = ", ".join(f"{name} {count.rate:.1%}" for name, count in report.under.items())
     line = f"{report.label}: success with the reflex {rates}"
-    if report.peak_forces is None:
-        return line
-    p50, p90, most = report.peak_forces
-    return f"{line}; peak force of successes {p50:.0f} N (median), {p90:.0f} N (90 %), {most:.0f} N (most)"
+    for words, forces in (("lasting", report.lasting_forces), ("peak", report.peak_forces)):
+        if forces is not None:
+            p50, p90, most = forces
+            line += f"; {words} force of successes {p50:.0f} N (median), {p90:.0f} N (90 %), {most:.0f} N (most)"
+    return line
 
 
 def _force_columns(reports: Iterable[DgrReport]) -> tuple[str, ...]:
     """Return the columns about forces that a table of the reports has: named thresholds, and peak forces."""
     found = list(reports)
     names = dict.fromkeys(name for report in found for name in report.under)
-    return (*names, *([PEAKS] if any(report.peak_forces for report in found) else []))
+    return (*names, *(name for name, part in _FORCES.items() if any(getattr(report, part) for report in found)))
 
 
 def _force_cells(report: DgrReport, columns: Iterable[str]) -> tuple[str, ...]:
     found = {name: f"{count.rate:.1%}" for name, count in report.under.items()}
-    if report.peak_forces is not None:
-        found[PEAKS] = "/".join(f"{newtons:.0f}" for newtons in report.peak_forces)
+    for name, part in _FORCES.items():
+        if (forces := getattr(report, part)) is not None:
+            found[name] = "/".join(f"{newtons:.0f}" for newtons in forces)
     return tuple(found.get(name, "-") for name in columns)
 
 
