@@ -143,6 +143,11 @@ def begin_worker() -> None:
         end_after(parent.sentinel)
 
 
+def processor_time(_: object = None) -> tuple[int, float]:
+    """Return the id of this process, and the processor time that it has used, seconds; the argument is ignored."""
+    return os.getpid(), time.process_time()
+
+
 def end_after(sentinel: int) -> None:
     """End this process soon after a descriptor becomes readable or is closed at its other end, whatever it is doing.
 

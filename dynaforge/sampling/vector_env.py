@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 from stable_baselines3.common.vec_env.util import dict_to_obs, obs_space_info
 
-from dynaforge.sampling.processes import usable_cores
+from dynaforge.sampling.processes import processor_time, usable_cores
 from dynaforge.sampling.sampler import describe_reset
 from dynaforge.sampling.vector_errors import WorkerDied, WorkerError, WorkerFailed
 from dynaforge.sampling.vector_pool import EnvFn, WorkerPool
@@ -216,6 +216,10 @@ class SharedMemoryVecEnv(VecEnv):
     ) -> list[bool]:
         """Return for each env whether a wrapper of this class is around it."""
         return self._apply(is_wrapped, indices, wrapper_class)
+
+    def processor_seconds(self) -> float:
+        """Return the processor time that the workers have used since they started, seconds."""
+        return float(sum(dict(self._apply(processor_time, None)).values()))
 
     def _share_memory(self) -> None:
         _check_equal(self._pool.spaces)

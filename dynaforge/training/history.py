@@ -43,7 +43,7 @@ class TrainingHistory:
         timesteps: Environment steps since the start, shape (U,), as are the following.
         optimizer_steps: Optimizer steps since the start.
         transitions_used: Gated transitions of kept groups since the start, each counted once per update.
-        collect_wall, collect_cpu: Seconds that the update's rollouts took; CPU is that of this process.
+        collect_wall, collect_cpu: Seconds that the update's rollouts took; CPU is that of all processes.
         optimize_wall, optimize_cpu: Seconds that its optimisation took.
         probes: Success without exploration, as measured during training.
     """

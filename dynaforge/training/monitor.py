@@ -67,7 +67,7 @@ class TrainingMonitor(BaseCallback):
         self._collecting, self._optimising = np.zeros(2), np.zeros(2)
         self._begun, self._under_way = self.num_timesteps, True
         self._continues = self._between_updates(len(self.history))
-        self._clock = time.perf_counter(), time.process_time()
+        self._clock = self._now()
 
     def _on_step(self) -> bool:
         infos = self.locals["infos"]
@@ -124,8 +124,13 @@ class TrainingMonitor(BaseCallback):
 
     def _lap(self) -> Array:
         """Return wall and CPU seconds since the last call."""
-        before, self._clock = self._clock, (time.perf_counter(), time.process_time())
+        before, self._clock = self._clock, self._now()
         return np.subtract(self._clock, before)
+
+    def _now(self) -> tuple[float, float]:
+        """Return the time, and the processor time that this process and the workers of its env have used, seconds."""
+        workers = getattr(self.training_env, "processor_seconds", None)
+        return time.perf_counter(), time.process_time() + (workers() if workers is not None else 0.0)
 
 
 class TimeLimit:

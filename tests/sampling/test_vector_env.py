@@ -206,6 +206,25 @@ def test_attributes_methods_wrappers_and_images_reach_the_env_named(make):
     assert env.metadata["render_fps"] == 12
 
 
+class Burning(RandomWalk):
+    """Uses processor time when it is told to."""
+
+    def burn(self, seconds):
+        end = time.process_time() + seconds
+        while time.process_time() < end:
+            pass
+
+
+def test_the_processor_time_of_every_worker_counts_once():
+    env = SharedMemoryVecEnv([Burning] * 4, n_workers=2)
+    before, own = env.processor_seconds(), time.process_time()
+    env.env_method("burn", 0.15, indices=[0, 1, 3])  # two of them in one worker
+    spent = env.processor_seconds() - before
+    env.close()
+    assert 0.45 <= spent < 0.6
+    assert time.process_time() - own < 0.15
+
+
 def test_workers_run_without_torch_and_single_threaded(make):
     env = make(2)
     for modules in env.env_method("modules"):
