@@ -12,6 +12,8 @@ from dynaforge.cli.arguments import (
     forge,
     info,
     render,
+    report,
+    table2,
     verify,
     view,
 )
@@ -28,6 +30,8 @@ COMMANDS = {
     "export": export.COMMAND,
     "verify": verify.COMMAND,
     "compare": compare.COMMAND,
+    "table2": table2.COMMAND,
+    "report": report.COMMAND,
     "bench": bench.COMMAND,
 }
 """Commands with arguments of our own."""

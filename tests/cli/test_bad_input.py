@@ -61,7 +61,7 @@ def arguments_of(command: str) -> list[argparse.Action]:
 
 def line_with(command: str, action: argparse.Action, value: str) -> list[str]:
     """Return a command line that is good but for one value."""
-    good = {"folder": ["demonstrations"], "format": ["--format", "lerobot"], "task": ["can"]}
+    good = {"folder": ["demonstrations"], "format": ["--format", "lerobot"], "task": ["can"], "report": ["motivation"]}
     line = [command]
     for other in arguments_of(command):
         if other.required and other.dest != action.dest:
