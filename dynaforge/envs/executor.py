@@ -65,15 +65,22 @@ class PhaseExecutor:
         self._steps = 0  # since the entry of the running phase
 
     def reset(
-        self, state: SceneState, condition: Condition, reference: JointReference, *, sensed: SceneState | None = None
+        self,
+        state: SceneState,
+        condition: Condition,
+        reference: JointReference,
+        *,
+        sensed: SceneState | None = None,
+        first: int = 0,
     ) -> None:
         """Enter the first phase.
 
         Args:
-            state: The scene at t = 0.
+            state: The scene at t = 0, or when the phase is entered.
             condition: The condition of the episode.
             reference: The joint reference; a global plan starts from it.
             sensed: The scene as targets see it; None where that is the truth.
+            first: Index of the phase to enter, where something else has brought the arm through those before.
         """
         self.outcome: Outcome | None = None
         self._seed = condition.seed
@@ -84,7 +91,7 @@ class PhaseExecutor:
         self._seen = self._true
         if sensed is not None and sensed is not state:
             self._seen = ViewTracker(sensed, lead_time=self.task.lead_time)
-        self._enter(0, reference)
+        self._enter(first, reference)
 
     def memory(self) -> Memory:
         """Return all that changes during an episode, for `put_back`."""

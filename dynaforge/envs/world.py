@@ -24,6 +24,7 @@ from dynaforge.sim import Condition, HandTarget, SceneState, SimScene
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.checks import check_kind
 from dynaforge.sim.delays import DelayLine, Delays
+from dynaforge.sim.prescribed import PrescribedMotion
 from dynaforge.sim.snapshot import put_back, remember
 from dynaforge.tasks import Task
 
@@ -86,13 +87,17 @@ class World:
         self.keeps_gate = False
         self._sensor = Sensor(dt) if task.setting.sensing == "real" else None
 
-    def reset(self, condition: Condition) -> SceneState:
+    def reset(self, condition: Condition, *, prescribed: PrescribedMotion | None = None) -> SceneState:
         """Reset the scene and the joint reference to t = 0 of a condition.
+
+        Args:
+            condition: The condition.
+            prescribed: As in `SimScene.reset`.
 
         Raises:
             ValueError: It is not a condition of this task, in which case nothing has changed.
         """
-        self.state = self.scene.reset(self.task.conditions.validate(condition))
+        self.state = self.scene.reset(self.task.conditions.validate(condition), prescribed=prescribed)
         robot = self.scene.robot
         self.reference = self.local.reset(robot.q_ready, robot.width_max)
         self.follower.reset(robot.q_ready, robot.width_max)

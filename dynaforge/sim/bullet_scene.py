@@ -14,7 +14,7 @@ from dynaforge.sim.camera import Visuals
 from dynaforge.sim.fixture import Fixture
 from dynaforge.sim.hand import couple_fingers
 from dynaforge.sim.robot import RobotDescription
-from dynaforge.sim.spec import BodySpec, SceneSpec
+from dynaforge.sim.spec import BodySpec, Launch, SceneSpec
 
 MAX_JOINT_SPEED = 1000.0  # rad/s, of free joints such as wheels
 PARKING_HEIGHT = 5.0  # metres; in the saved state bodies wait up here, out of contact
@@ -41,14 +41,37 @@ class FreeBody:
     """A free body in Bullet.
 
     Attributes:
+        client: The physics client.
         body: Index of the body.
         joints: Indices of its joints, which turn without motors, by name.
         inertia_per_kg: Principal moments of inertia of the root link, divided by its mass, m^2.
     """
 
+    client: Any
     body: int
     joints: dict[str, int]
     inertia_per_kg: list[float]
+
+    def launch(self, name: str, launch: Launch, mass: float) -> None:
+        """Start the body as a condition says, with a mass of its root link in kilograms.
+
+        Raises:
+            ValueError: It turns a joint that the body, whose name is `name`, does not have.
+        """
+        client = self.client
+        w, x, y, z = launch.pose.quat_wxyz.tolist()
+        self.weigh(mass)
+        client.resetBasePositionAndOrientation(self.body, launch.pose.position.tolist(), (x, y, z, w))
+        client.resetBaseVelocity(self.body, launch.velocity.tolist(), launch.angular_velocity.tolist())
+        if unknown := [joint for joint in launch.joint_speeds if joint not in self.joints]:
+            raise ValueError(f"Body {name!r} has no joints {unknown}; it has {sorted(self.joints)}.")
+        for joint, speed in launch.joint_speeds.items():
+            client.resetJointState(self.body, self.joints[joint], 0.0, speed)
+
+    def weigh(self, mass: float) -> None:
+        """Give the root link a mass in kilograms, and moments of inertia in proportion."""
+        inertia = [mass * i for i in self.inertia_per_kg]
+        self.client.changeDynamics(self.body, -1, mass=mass, localInertiaDiagonal=inertia)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -153,4 +176,4 @@ def _load_body(client: Any, spec: BodySpec, k: int, *, flags: int) -> FreeBody:
         client.changeDynamics(body, joint, maxJointVelocity=MAX_JOINT_SPEED)
         client.setJointMotorControl2(body, joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=0.0)
     mass, _, inertia = client.getDynamicsInfo(body, -1)[:3]
-    return FreeBody(body, joints, (np.array(inertia) / mass).tolist())
+    return FreeBody(client, body, joints, (np.array(inertia) / mass).tolist())

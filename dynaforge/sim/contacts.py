@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from dynaforge.geometry import Pose, one_line
@@ -142,3 +143,17 @@ class ContactReader:
 
 def _dot(a: tuple[float, ...], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def overlaps(scene: BulletScene) -> dict[tuple[str, str], float]:
+    """Return how deeply each pair of bodies overlaps now, as `SimScene.overlaps` does.
+
+    Args:
+        scene: The scene in Bullet.
+    """
+    bolted = {"table", *scene.fixtures}
+    return {
+        (a, b): max((-contact[8] for contact in scene.client.getContactPoints(i, j)), default=0.0)
+        for (a, i), (b, j) in combinations(scene.bodies.items(), 2)
+        if not {a, b} <= bolted
+    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import combinations
 from operator import gt
 from typing import NoReturn
 
@@ -17,16 +16,18 @@ from dynaforge.sim.bullet_scene import load_scene
 from dynaforge.sim.camera import Camera, Image, Visuals, take_image, take_picture
 from dynaforge.sim.checks import check_flag, check_kind
 from dynaforge.sim.condition import Condition
-from dynaforge.sim.contacts import ContactReader, Found
+from dynaforge.sim.contacts import ContactReader, Found, overlaps
+from dynaforge.sim.driver import Driver
 from dynaforge.sim.exact_restore import ExactRestore
 from dynaforge.sim.force_watch import ForceWatch
 from dynaforge.sim.hand import HAND_DELAY, Hand, HandState
 from dynaforge.sim.loads import Loads
+from dynaforge.sim.prescribed import PrescribedMotion
 from dynaforge.sim.reflex import ReflexName, thresholds
 from dynaforge.sim.robot import RobotDescription, franka
 from dynaforge.sim.shapes import LinkName, VisualShape, link_poses, visual_shapes
 from dynaforge.sim.snapshot import Memory, put_back, remember
-from dynaforge.sim.spec import Launch, Placement, SceneSpec
+from dynaforge.sim.spec import Placement, SceneSpec
 from dynaforge.sim.state import BodyState, SceneState
 from dynaforge.sim.surfaces import Surfaces
 
@@ -84,6 +85,7 @@ class SimScene:
         self._watch = ForceWatch(self._arm.dynamics, thresholds(reflex))
         self._time = 0.0
         self._condition: Condition | None = None
+        self._driver: Driver | None = None
         self._saved_later: tuple[int, HandState, Memory, float] | None = None
 
     def _bind_hot_calls(self) -> None:
@@ -99,35 +101,52 @@ class SimScene:
 
     # ---------------------------------------------------------------- episode
 
-    def reset(self, condition: Condition) -> SceneState:
+    def reset(self, condition: Condition, *, prescribed: PrescribedMotion | None = None) -> SceneState:
         """Put the world at t = 0 of a condition: the robot at its ready pose, and nothing moving but what is launched.
 
+        Args:
+            condition: The condition.
+            prescribed: A path along which a body is driven in this episode, instead of being moved by physics alone.
+
         Raises:
-            ValueError: The task's `launch` does not return a valid start of the condition.
+            ValueError: The task's `launch` does not return a valid start, or the path is of no body of this scene.
         """
-        if condition != self._condition:
+        starts = self.spec.starts(condition)
+        starts = starts if prescribed is None else prescribed.starts(starts)
+        if condition != self._condition or prescribed is not None:
             self._forget()
         self._condition = condition
         self._restoring.restore(self._saved)
         hidden = condition.hidden
         self._surfaces.apply(hidden)
         self._hand.reset(hidden.get("hand_delay", HAND_DELAY))
-        for name, start in self.spec.starts(condition).items():
+        for name, start in starts.items():
             if isinstance(start, Placement):
                 self._bullet.fixtures[name].place(start)
             else:
-                self._launch(name, start, start.mass * hidden.get("mass", 1.0))
+                self._bullet.free[name].launch(name, start, start.mass * hidden.get("mass", 1.0))
         self._arm.reset(hidden.get("joint_gain", 1.0))
         self._watch.reset()
         self._time = 0.0
+        self._driver = None if prescribed is None else Driver(self._bullet, prescribed, self.spec.physics_dt)
         return self.observe()
+
+    @property
+    def prescribed_until(self) -> float:
+        """Seconds since the reset for which the motion of a body has been prescribed."""
+        return self._driver.seconds if self._driver is not None else 0.0
 
     def save(self) -> None:
         """Save the world as it is now, until the next call or a reset to another condition, and go on from there.
 
         Bullet's contact caches are lost, as at a reset, so that all that follows is the same now and after `restore`.
         What a condition fixes once and for all, such as masses, is not part of it.
+
+        Raises:
+            RuntimeError: A motion is prescribed in this episode.
         """
+        if self._driver is not None:
+            raise RuntimeError("An episode with a prescribed motion cannot be saved: reset it instead.")
         self._forget()
         memory = remember(self._arm, self._watch)
         self._saved_later = (self._bullet.client.saveState(), self._hand.state, memory, self._time)
@@ -160,18 +179,6 @@ class SimScene:
             self._bullet.client.removeState(self._saved_later[0])
         self._saved_later = None
 
-    def _launch(self, name: str, launch: Launch, mass: float) -> None:
-        client, free = self._bullet.client, self._bullet.free[name]
-        w, x, y, z = launch.pose.quat_wxyz.tolist()
-        inertia = [mass * i for i in free.inertia_per_kg]
-        client.changeDynamics(free.body, -1, mass=mass, localInertiaDiagonal=inertia)
-        client.resetBasePositionAndOrientation(free.body, launch.pose.position.tolist(), (x, y, z, w))
-        client.resetBaseVelocity(free.body, launch.velocity.tolist(), launch.angular_velocity.tolist())
-        if unknown := [joint for joint in launch.joint_speeds if joint not in free.joints]:
-            raise ValueError(f"Body {name!r} has no joints {unknown}; it has {sorted(free.joints)}.")
-        for joint, speed in launch.joint_speeds.items():
-            client.resetJointState(free.body, free.joints[joint], 0.0, speed)
-
     def step(self, q_reference: Array, width_reference: float) -> SceneState:
         """Advance one control step toward a joint reference.
 
@@ -191,7 +198,11 @@ class SimScene:
             if substep:
                 self._watch.see(self._contacts.of_robot())
             self._arm.run(command)
+            if self._driver is not None:
+                self._driver.carry()
             self._step_physics()
+            if self._driver is not None:
+                self._driver.place()
         # The snapshot needs the contacts of the last substep too: they are asked once, those without the robot as well.
         found = self._contacts.all()
         self._watch.see([contact for contact in found if contact[1] == self._bullet.robot.body])
@@ -259,12 +270,7 @@ class SimScene:
 
         Pairs that cannot move relative to each other, such as the table and a fixture, are left out.
         """
-        bolted = {"table", *self._bullet.fixtures}
-        return {
-            (a, b): max((-contact[8] for contact in self._bullet.client.getContactPoints(i, j)), default=0.0)
-            for (a, i), (b, j) in combinations(self._bullet.bodies.items(), 2)
-            if not {a, b} <= bolted
-        }
+        return overlaps(self._bullet)
 
     def image(self, camera: Camera) -> Image:
         """Return what a camera sees now as datasets store it: colour, depth and segmentation.
@@ -274,10 +280,7 @@ class SimScene:
         return take_image(self._bullet, camera, self._ee_pose())
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
-        """Return what a camera sees now as films show it: RGB with shadows, shape (H, W, 3).
-
-        The scene must have been loaded with visuals.
-        """
+        """Return what a camera sees now as films show it: RGB with shadows, shape (H, W, 3); it needs visuals."""
         return take_picture(self._bullet, camera, self._ee_pose())
 
     def shapes(self) -> list[VisualShape]:
