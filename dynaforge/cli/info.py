@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from dynaforge.cli.arguments.datasets import open_dataset
+from dynaforge.demos.prescription import describe_dynamics
 from dynaforge.demos.untrusted import printable
 from dynaforge.reports.dataset_summary import attempt_tables, recording_summary
 
@@ -17,6 +18,8 @@ def run(options: argparse.Namespace) -> int:
     counts = f"{len(episodes)} recordings of {len(attempts)} attempts, {size / 1e6:.1f} MB"
     _print(f"{options.folder}: {task.env_name}, {counts}")
     _print(f"setting: {task.setting}")
+    if said := describe_dynamics(attempt.dynamics for attempt in attempts):
+        _print(f"dynamics: {said}")
     for table in attempt_tables(attempts, task):
         _print(f"\n{table}")
     if attempts and episodes:

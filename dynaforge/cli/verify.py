@@ -9,6 +9,7 @@ from tqdm import tqdm
 
 from dynaforge.cli.arguments.datasets import open_dataset
 from dynaforge.demos.folder_checks import read_notes, verify_folder
+from dynaforge.demos.prescription import describe_dynamics
 from dynaforge.generators.recording_checks import VerifyOptions, check_recordings
 from dynaforge.reports.forces import force_lines
 
@@ -31,6 +32,8 @@ def run(options: argparse.Namespace) -> int:
         for finding in findings:
             tqdm.write(str(finding))
         n_findings += len(findings)
+    if said := describe_dynamics(attempt.dynamics for attempt in notes.attempts.values()):
+        print(f"dynamics: {said}")
     if options.audit:
         demonstrations = [a for name in notes.names if (a := notes.attempts.get(name)) and a.success]
         for line in force_lines(demonstrations, task):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos.episode import Episode
+from dynaforge.demos.prescription import Prescription, prescription_of
 from dynaforge.demos.replay import Replayer
 from dynaforge.geometry import Array
 from dynaforge.sim import RobotDescription, franka
@@ -16,6 +17,7 @@ from dynaforge.sim import RobotDescription, franka
 CONTACT_RANGE = 0.25  # metres: no part of the robot touches an object farther from the hand
 FINGER_SPEED_GAIN = 1.5  # m/s that turning or closing fingers may add to an object within one control step
 POSITION_TOLERANCE = 0.005  # metres
+OFF_PATH = 1e-6  # metres
 GRAVITY = 9.81
 DEEP_CONTACT = 0.005  # metres of penetration that an impact may cause
 DEEP_CONTACT_STEPS = 6  # control steps that a deep contact may last: an object squeezed between hand and table
@@ -44,6 +46,9 @@ class Flag:
 def audit(episode: Episode, *, robot: RobotDescription | None = None, replayer: Replayer | None = None) -> list[Flag]:
     """Look for teleports, edited velocities, and motion that a real Franka could not make.
 
+    An object whose motion is prescribed, in an episode that says so, must follow its path until physics moves it; the
+    path itself may gain speed.
+
     Args:
         episode: The recorded states and references; a column that was not recorded is skipped.
         robot: Whose limits apply; the Franka by default.
@@ -51,6 +56,9 @@ def audit(episode: Episode, *, robot: RobotDescription | None = None, replayer: 
 
     Returns:
         One flag for each broken law, ordered by the first step at which it is broken.
+
+    Raises:
+        ValueError: Its notes on a prescribed motion are malformed.
     """
     if len(episode) < 3:
         return []
@@ -69,7 +77,9 @@ def _flag(broken: NDArray[np.bool_], violation: str, measured: Array) -> Iterato
 
 def _object_flags(episode: Episode) -> Iterator[Flag]:
     steps, dt = episode.steps, np.diff(episode.steps["time"])
-    hand = steps.get("ee_position")
+    hand, prescribed = steps.get("ee_position"), prescription_of(episode)
+    if prescribed is not None:
+        yield from _path_flags(episode, prescribed)
     for key in steps:
         kind, _, rest = key.partition("/")
         name = rest.removesuffix("/position")
@@ -87,9 +97,21 @@ def _object_flags(episode: Episode) -> Iterator[Flag]:
         # Away from the hand and all fixtures, only a fall adds speed. The tolerance counts twice because an impact may
         # lie between two steps.
         untouched = ~near_hand & _far_from(episode, position, ("fixture",))
+        if prescribed is not None and name == prescribed.motion.body:
+            untouched &= steps["time"][:-1] >= prescribed.until
         gained = np.diff(0.5 * speed**2 + GRAVITY * position[:, 2])
         allowed = 1e-3 + 2.0 * GRAVITY * POSITION_TOLERANCE
         yield from _flag(untouched & (gained > allowed), f"{name} gains {{:.2f}} J/kg with nothing near it", gained)
+
+
+def _path_flags(episode: Episode, prescribed: Prescription) -> Iterator[Flag]:
+    """Look for places at which an object is not where its prescribed path says."""
+    name, time = prescribed.motion.body, episode.steps["time"]
+    position = episode.steps.get(f"object/{name}/position")
+    if position is not None:
+        path = np.array([prescribed.motion.position(t) for t in time.tolist()])
+        off = np.where(time < prescribed.until, np.linalg.norm(position - path, axis=1), 0.0)
+        yield from _flag(off > OFF_PATH, f"{name} is {{:.3g}} m off its prescribed path", off)
 
 
 def _far_from(episode: Episode, position: Array, kinds: tuple[str, ...]) -> NDArray[np.bool_]:

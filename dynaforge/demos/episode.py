@@ -13,9 +13,10 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from dynaforge.demos.prescription import FREE, PRESCRIBED
 from dynaforge.demos.schema import check_meta, validate_steps
 from dynaforge.sim import Condition
-from dynaforge.sim.checks import check_flag, check_kind, check_number, check_whole, quoted
+from dynaforge.sim.checks import check_choice, check_flag, check_kind, check_number, check_whole, quoted
 from dynaforge.sim.loads import Loads
 from dynaforge.tasks.outcome import STORED, Outcome
 
@@ -97,6 +98,11 @@ class AttemptFacts:
         """`Outcome.phase`."""
         return self.outcome.phase
 
+    @property
+    def dynamics(self) -> str:
+        """What moves the objects: "free", only physics; "prescribed", a path for a while."""
+        return FREE
+
     def facts(self) -> dict[str, Any]:
         """Return these facts as plain JSON data."""
         return {
@@ -105,6 +111,7 @@ class AttemptFacts:
             **self.outcome.to_dict(),
             "duration": float(self.duration),
             **({} if self.loads is None else {"loads": asdict(self.loads)}),
+            **({} if self.dynamics == FREE else {"dynamics": self.dynamics}),
         }
 
 
@@ -152,6 +159,11 @@ class Episode(AttemptFacts):
             raise ValueError(f"Episode meta must be plain JSON data: {error}.") from error
         object.__setattr__(self, "steps", MappingProxyType(validate_steps(self.steps)))
         object.__setattr__(self, "meta", MappingProxyType(meta))
+
+    @property
+    def dynamics(self) -> str:
+        """As in `AttemptFacts`; its `meta` says it."""
+        return str(self.meta.get("dynamics", FREE))
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -201,12 +213,14 @@ class Attempt(AttemptFacts):
         cpu_seconds: Processor time that it took; None where it is not known.
         block: Which block of conditions it belongs to; standard deviations are over blocks.
         recorded: Whether its recording was kept.
+        dynamics: As in `AttemptFacts`.
     """
 
     wall_seconds: float = 0.0
     cpu_seconds: float | None = None
     block: int = 0
     recorded: bool = False
+    dynamics: str = FREE
 
     def __post_init__(self) -> None:
         AttemptFacts.__post_init__(self)
@@ -215,6 +229,7 @@ class Attempt(AttemptFacts):
             check_number("Attempt: cpu_seconds", self.cpu_seconds, least=0.0)
         check_whole("Attempt: block", self.block, least=0)
         check_flag("Attempt: recorded", self.recorded)
+        check_choice("Attempt: dynamics", self.dynamics, (FREE, PRESCRIBED))
 
     @staticmethod
     def of(
@@ -244,6 +259,7 @@ class Attempt(AttemptFacts):
             cpu_seconds=cpu_seconds,
             block=block,
             recorded=recorded,
+            dynamics=episode.dynamics,
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynaforge.demos.episode import Episode
+from dynaforge.demos.prescription import motion_of
 from dynaforge.sim import SceneState, SimScene
 from dynaforge.sim.camera import Visuals
 from dynaforge.sim.delays import DelayLine, Delays
@@ -88,7 +89,7 @@ class Replayer:
         references = [episode.steps.get(name) for name in ("joint_reference", "width_reference")]
         if len(episode) and any(column is None for column in references):
             raise ValueError(f"Episode {episode.id} records no joint references, so it cannot be replayed.")
-        yield self.scene.reset(self.task.conditions.validate(episode.condition))
+        yield self.scene.reset(self.task.conditions.validate(episode.condition), prescribed=motion_of(episode))
         robot, late = self.scene.robot, Delays.drawn_by(episode.condition, self.task.setting.sensing).action
         commands = DelayLine([(robot.q_ready, robot.width_max)] * late)
         gates = episode.steps.get("gate", ())

@@ -100,6 +100,8 @@ _META: Mapping[str, tuple[str, Callable[[Any], bool]]] = {
     "versions": ("a mapping of names to versions", lambda value: _all_text(value, dict)),
     "task_hash": ("a digest", lambda value: isinstance(value, str)),
     "policy_hash": ("a digest", lambda value: isinstance(value, str)),
+    "dynamics": ("'prescribed'", lambda value: value == "prescribed"),
+    "prescribed": ("a mapping", lambda value: isinstance(value, dict)),
     "contact_time": ("seconds, or null", lambda value: value is None or type(value) in (int, float)),
     "planned_contact_time": ("seconds, or null", lambda value: value is None or type(value) in (int, float)),
 }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dynaforge.demos import DemonstrationDataset, Episode
 from dynaforge.demos.observations import ObservationFolder, ObservationRenderer, ObservationSettings, standard_cameras
+from dynaforge.demos.prescription import describe_dynamics
 from dynaforge.evaluation import DgrReport
 from dynaforge.files.atomic import atomic_write
 from dynaforge.reports.evaluation import by_generator, reports_of
@@ -61,6 +62,7 @@ class Exported:
         made_by: Its generator, and the digest of the policy.
         versions: Versions of the packages that it was recorded with, as JSON.
         loads: The greatest loads on the robot; None where they are not known.
+        dynamics: What moves the object, as in `AttemptFacts`.
     """
 
     id: str
@@ -68,13 +70,21 @@ class Exported:
     made_by: str
     versions: str
     loads: Loads | None
+    dynamics: str
 
     @staticmethod
     def of(episode: Episode) -> Exported:
         """Take what the card needs from an episode."""
         made_by = " ".join(f"{episode.generator} {episode.meta.get('policy_hash', '')}".split())
         versions = json.dumps(episode.meta.get("versions", {}), sort_keys=True)
-        return Exported(id=episode.id, steps=len(episode), made_by=made_by, versions=versions, loads=episode.loads)
+        return Exported(
+            id=episode.id,
+            steps=len(episode),
+            made_by=made_by,
+            versions=versions,
+            loads=episode.loads,
+            dynamics=episode.dynamics,
+        )
 
 
 def write_card(
@@ -130,7 +140,7 @@ def write_card(
 
 def _facts(task: Task, episodes: Sequence[Exported], reports: Sequence[DgrReport]) -> dict[str, str]:
     """Return the rows of the card's table that describe task and episodes."""
-    steps = [episode.steps for episode in episodes]
+    steps, dynamics = [episode.steps for episode in episodes], describe_dynamics(e.dynamics for e in episodes)
     generators = Counter(episode.made_by for episode in episodes)
     successes = ", ".join(f"{report.label}: {report.total.successes} of {report.n} attempts" for report in reports)
     return {
@@ -139,6 +149,7 @@ def _facts(task: Task, episodes: Sequence[Exported], reports: Sequence[DgrReport
         "robot": "simulated Franka arm and hand (PyBullet), from the ready pose",
         "reflex": describe_reflex(task.setting.reflex),
         "peak force": describe_peaks([episode.loads for episode in episodes], task.setting.reflex),
+        **({"dynamics": dynamics} if dynamics else {}),
         "hidden physics": task.setting.physics,
         "sensing": task.setting.sensing,
         "skill": task.skill,

@@ -17,6 +17,7 @@ from dynaforge.demos import DemonstrationDataset
 from dynaforge.demos.exporters import Frames, exporter
 from dynaforge.demos.exporters.frames import Floats, env_arguments_of, env_of
 from dynaforge.demos.observations import ObservationFolder
+from dynaforge.demos.prescription import FREE
 from dynaforge.generators.bridge import ExportBridge, succeeds_again
 from dynaforge.reports.card import Exported, write_card
 from dynaforge.sim import Condition
@@ -120,7 +121,8 @@ class _Notes:
         for episode in frames:
             self.exported.append(Exported.of(episode.episode))
             self.contents.update(_contents(self.task, episode, self.layout))
-            if episode.success:
+            # In the env of its actions, nothing would drive an object whose motion was prescribed.
+            if episode.success and episode.episode.dynamics == FREE:
                 self.successes.append(_SampledSuccess(episode.layout, episode.episode.condition, episode.actions))
             yield episode
             del episode  # otherwise it would stay in memory while the next one is read
