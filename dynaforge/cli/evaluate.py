@@ -15,6 +15,7 @@ from dynaforge.generators import Generator, ResidualGenerator
 from dynaforge.generators.by_name import make_generator, setting_line
 from dynaforge.generators.collecting import Engine
 from dynaforge.generators.measure import measure
+from dynaforge.generators.names import SETTINGS
 from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.reports.evaluation import BINS, gains_over_first, reports_of, write_evaluation, write_task_table
 from dynaforge.tasks import Task
@@ -76,7 +77,7 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
     """
     settings = {
         key: value
-        for key in ("policy", "lead_time", "sigma", "oracle_tries", "learner", "observations")
+        for key in ("learner", "observations", *SETTINGS)
         if (value := getattr(options, key, None)) is not None
     }
     try:

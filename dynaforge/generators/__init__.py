@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from dynaforge.generators.giving_up import GaveUp
     from dynaforge.generators.learner import LearnerGenerator
     from dynaforge.generators.oracle import Oracle
+    from dynaforge.generators.replay import SynchronisedReplay
     from dynaforge.sampling.processes import NoWorkers
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "PlannerOnly",
     "ResidualGenerator",
     "Result",
+    "SynchronisedReplay",
     "attempt_once",
     "collect",
     "make_generator",
@@ -49,6 +51,7 @@ _MODULES = {
     "giving_up": ("GaveUp",),
     "learner": ("LearnerGenerator",),
     "oracle": ("Oracle",),
+    "replay": ("SynchronisedReplay",),
 }
 
 

@@ -8,9 +8,12 @@ from pathlib import Path
 from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
 from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.learner import LearnerGenerator
-from dynaforge.generators.names import GENERATORS
+from dynaforge.generators.names import GENERATORS, Level, Speed
 from dynaforge.generators.oracle import Oracle
 from dynaforge.generators.prediction import Prediction, chosen_lead_time
+from dynaforge.generators.replay import SynchronisedReplay
+from dynaforge.generators.static_scenes import check_supported
+from dynaforge.sim.prescribed import Release
 from dynaforge.sim.setting import Setting
 from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import Task, task_file_name
@@ -27,6 +30,9 @@ def make_generator(
     oracle_tries: int = 64,
     learner: str | None = None,
     observations: Path | None = None,
+    level: Level = 1,
+    release: Release = "end",
+    object_speed: Speed = "shipped",
     chosen: Collection[str] = (),
 ) -> Generator:
     """Return a new generator.
@@ -40,10 +46,14 @@ def make_generator(
         oracle_tries: Residuals that "oracle" tries on each condition.
         learner: Where the policy of "learner" comes from: "module:function" or "file.py:function".
         observations: Folder of `dynaforge render` whose settings the observations of "learner" are made with.
+        level: Shape of the object's path for "replay", as `SynchronisedReplay` takes it.
+        release: When physics takes over for "replay", likewise.
+        object_speed: Cap on the object's speed for "replay", likewise.
         chosen: Parts of the task's setting in which a policy may have been trained otherwise; see `policy_for`.
 
     Raises:
-        ValueError: The name is unknown, or the policy file does not fit the task, or none is shipped.
+        ValueError: The name is unknown, the generator is not for this task, the policy file does not fit the task, or
+            none is shipped.
     """
     match name:
         case "planner_only":
@@ -63,6 +73,9 @@ def make_generator(
             )
         case "oracle":
             return Oracle(m=oracle_tries)
+        case "replay":
+            check_supported(task)
+            return SynchronisedReplay(level=level, release=release, speed=object_speed)
         case "learner" if learner is not None:
             return _make_learner(learner, observations)
     raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")

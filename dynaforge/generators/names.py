@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-GENERATORS = ("planner_only", "prediction", "residual", "exploring", "oracle", "learner")
+from typing import Literal, get_args
+
+GENERATORS = ("planner_only", "prediction", "residual", "exploring", "oracle", "replay", "learner")
 """The generators that `make_generator` can make."""
 
-COLLECTING = ("residual", "planner_only", "prediction")
+COLLECTING = ("residual", "planner_only", "prediction", "replay")
 """Generators for collecting; the oracle knows the outcome beforehand, and exploration is for training."""
 
 SETTINGS = {
@@ -13,5 +15,15 @@ SETTINGS = {
     "lead_time": ("prediction",),
     "oracle_tries": ("oracle",),
     "sigma": ("exploring",),
+    "level": ("replay",),
+    "release": ("replay",),
+    "object_speed": ("replay",),
 }
 """The generators that take each setting of `make_generator`."""
+
+Level = Literal[1, 2, 3]
+"""Shapes of the object's path in synchronised replay."""
+LEVELS: tuple[Level, ...] = get_args(Level)
+Speed = float | Literal["shipped", "task"]
+"""Cap on the object's speed in synchronised replay, m/s; "shipped" is `SHIPPED`, "task" that of the condition."""
+SLOWEST, SHIPPED, FASTEST = 0.01, 0.1, 2.0  # m/s; the last is beyond every speed of the tasks

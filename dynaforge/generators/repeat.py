@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynaforge.demos import Episode
+from dynaforge.demos.prescription import FREE
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
+from dynaforge.generators.replay import SynchronisedReplay
 from dynaforge.tasks import Outcome, Task
 
 
@@ -26,11 +28,17 @@ class Repeater:
         """Make the attempt of an episode again and record it; a genuine recording is repeated bit for bit.
 
         The action is taken from the recorded residual at the beginning of each decision, as far as a policy could have
-        asked for it, and kept during the decision. The executor decides when the episode ends, not the recording.
+        asked for it, and kept during the decision. The executor decides when the episode ends, not the recording. Where
+        the motion of an object is prescribed, the path is drawn anew too, and nothing comes from the recording but the
+        options of its generator.
 
         Raises:
-            ValueError: The condition is not one of the task, or no residual was recorded.
+            ValueError: The condition is not one of the task, or no residual was recorded, or what it notes on a
+                prescribed motion is malformed.
         """
+        if episode.dynamics != FREE:
+            self._env.world.task.conditions.validate(episode.condition)
+            return SynchronisedReplay.of(episode).attempt(self._env, episode.condition)
         residuals = episode.steps.get("residual_action")
         if len(episode) and (residuals is None or residuals.shape[1] != 7):
             raise ValueError("it records no residual_action of 7 components, so its attempt cannot be made again")

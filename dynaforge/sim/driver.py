@@ -15,8 +15,8 @@ class Driver:
     """Drives a body of a scene that was just reset along its path, substep by substep.
 
     Meanwhile the body is so heavy that nothing moves it, its weight is carried, and after every substep it is put to
-    where its path says with the velocity that leads on. At the end it has its own mass again and is at rest, as are its
-    joints; released at a contact, it keeps its velocity.
+    where its path says with the velocity that leads on; its joints, such as wheels, do not turn. At the end it has its
+    own mass again and is at rest; released at a contact, it keeps its velocity.
 
     Args:
         scene: The scene in Bullet.
@@ -54,8 +54,6 @@ class Driver:
         if arrived or (self._motion.release == "contact" and self._touched()):
             self._driven = False
             self._free.weigh(self._mass)
-        if arrived:
-            self._stop_joints()
 
     def _touched(self) -> bool:
         return any(contact[9] > 0.0 for contact in self._client.getContactPoints(self._robot, self._free.body))
@@ -66,8 +64,3 @@ class Driver:
         velocity = self._motion.velocity(time, self._dt)
         self._client.resetBasePositionAndOrientation(body, self._motion.position(time), (x, y, z, w))
         self._client.resetBaseVelocity(body, velocity, NOTHING)
-
-    def _stop_joints(self) -> None:
-        for joint in self._free.joints.values():
-            angle = self._client.getJointState(self._free.body, joint)[0]
-            self._client.resetJointState(self._free.body, joint, angle, 0.0)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from dynaforge.cli import main as entry
-from dynaforge.cli.arguments import setting, tasks
+from dynaforge.cli.arguments import generators, setting, tasks
 from dynaforge.cli.commands import COMMANDS
 from dynaforge.cli.main import main
 from dynaforge.demos import DemonstrationDataset
@@ -28,6 +28,20 @@ BY_FUNCTION = {
     numbers.minutes: ("", "soon", "0", "0s", "-1m", "nan", "inf", "1e400h", "٣m", "1_0m", "5d", "m"),
     tasks.task: ("", "cann", "gone.py", "broken.py", "a folder", "DynaForge/X-v0", "a\nb", "a\0b", "x" * 5000),
     setting.reflex: ("", "soft", "0", "-5", "nan", "inf", "1e400", "40 N", "a\nb", "a\0b", "x" * 5000),
+    generators.object_speed: (
+        "",
+        "fast",
+        "0",
+        "0.009",
+        "2.1",
+        "-1",
+        "nan",
+        "inf",
+        "0.1 m/s",
+        "a\nb",
+        "a\0b",
+        "x" * 5000,
+    ),
     tasks.task_or_all: ("", "cann", "gone.py", "broken.py", "alle", "a\nb"),
 }
 

@@ -67,7 +67,7 @@ def test_physics_takes_over_at_rest_and_with_the_bodys_own_mass(scene: SimScene)
     assert mass == CONDITION.values["mass"]
 
 
-def test_wheels_stand_still_at_the_end_of_the_path() -> None:
+def test_wheels_do_not_turn_on_the_way() -> None:
     task = get_task("toycar").under(physics="fixed")
     scene = SimScene(task.simulated)
     way = ((0.4, 0.2), (0.0,), (0.026,))
@@ -76,13 +76,14 @@ def test_wheels_stand_still_at_the_end_of_the_path() -> None:
     )
     scene.reset(task.conditions.draw(np.random.default_rng(0)), prescribed=motion)
     client, car = scene._bullet.client, scene._bullet.free["toycar"]
-    speeds = []
     for _ in range(15):
-        scene.step(scene.robot.q_ready, 0.08)
-        speeds.append([client.getJointState(car.body, joint)[1] for joint in car.joints.values()])
+        state = scene.step(scene.robot.q_ready, 0.08)
+        assert [client.getJointState(car.body, joint)[1] for joint in car.joints.values()] == [0.0] * 4
+    for _ in range(15):
+        later = scene.step(scene.robot.q_ready, 0.08)
     scene.close()
-    np.testing.assert_allclose(speeds[-2], 0.2 / 0.016, rtol=0.1)  # they roll while the car is driven
-    assert speeds[-1] == [0.0] * 4
+    moved = later.objects["toycar"].pose.position - state.objects["toycar"].pose.position
+    assert np.linalg.norm(moved) < 1e-3, "at the end it stands"
 
 
 def test_what_is_driven_pushes_and_is_not_pushed(scene: SimScene) -> None:
@@ -90,7 +91,10 @@ def test_what_is_driven_pushes_and_is_not_pushed(scene: SimScene) -> None:
     hand = scene.reset(CONDITION).ee.position
     way = ((hand[0],), (hand[1] - 0.16, 0.16), (hand[2],))
     motion = replace(BENT, end=tuple(hand.tolist()), knots=(0.0, 1.0), pieces=(way,))
-    states = run(scene, motion, 30)
+    states = [scene.reset(CONDITION, prescribed=motion)]
+    for _ in range(30):
+        states.append(scene.step(scene.robot.q_ready, 0.08))
+        assert scene.overlaps()["robot", "can"] < 0.002, "it is a wall; at 0.5 kg, the hand sinks in by 4 mm"
     touched = [k for k, state in enumerate(states) if state.contacts.robot_force("can") > 0.0]
     assert touched
     for k in touched:

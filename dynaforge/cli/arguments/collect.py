@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.generators import add_policy, add_replay, check_generators
 from dynaforge.cli.arguments.shared import add_engine
 from dynaforge.cli.arguments.tasks import add_task_argument, chosen_task
 from dynaforge.cli.command import Command
@@ -33,6 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--generator", **one_of("generator", COLLECTING), default="residual", help="what attempts")
     add_policy(parser)
+    add_replay(parser)
     parser.add_argument("--seed", type=SEED, default=0, help="block of the condition stream: another, other conditions")
     parser.add_argument(
         "--shard",

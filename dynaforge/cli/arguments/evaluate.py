@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.generators import add_policy, add_replay, check_generators
 from dynaforge.cli.arguments.setting import chosen_parts
 from dynaforge.cli.arguments.shared import add_engine, add_observations, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
@@ -31,6 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help=f"of {', '.join(NAMED)} (default planner_only, without --learner)",
     )
     add_policy(parser)
+    add_replay(parser)
     parser.add_argument(
         "--learner",
         type=Text("module:function or file.py:function", r".+:[A-Za-z_][A-Za-z0-9_]*"),

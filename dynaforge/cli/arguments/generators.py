@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from typing import cast
 
-from dynaforge.generators.names import SETTINGS
-from dynaforge.options.numbers import Number
+from dynaforge.generators.names import FASTEST, LEVELS, SETTINGS, SLOWEST, Speed
+from dynaforge.options.numbers import Number, WholeNumber
 from dynaforge.options.paths import ExistingPath
+from dynaforge.options.refusal import Refused
+from dynaforge.options.words import one_of
+from dynaforge.sim.checks import quoted
+from dynaforge.sim.prescribed import RELEASES
 
 MOST_LEAD = 2.0  # seconds; an object that moves at 1 m/s would have crossed the whole reach
 
@@ -24,6 +29,37 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         help="constant-velocity prediction of the planner, for the generator prediction (default: the stored choice)",
     )
+
+
+def add_replay(parser: argparse.ArgumentParser) -> None:
+    """Add --level, --release and --object-speed."""
+    parser.add_argument(
+        "--level",
+        type=WholeNumber(LEVELS[0], LEVELS[-1]),
+        help="shape of the object's path, for replay: 1 a constant velocity, 2 a polynomial, 3 segments (default 1)",
+    )
+    parser.add_argument(
+        "--release",
+        **one_of("release", RELEASES),
+        help="when physics takes over the object, for replay: at its path's end, or at first contact (default end)",
+    )
+    parser.add_argument(
+        "--object-speed",
+        type=object_speed,
+        metavar="shipped|task|M/S",
+        help="cap on the object's speed, for replay: 0.1 m/s as shipped, that of the condition, or a number "
+        "(default shipped)",
+    )
+
+
+def object_speed(text: str) -> Speed:
+    """Return the cap on the object's speed that a text names."""
+    if text in ("shipped", "task"):
+        return cast(Speed, text)
+    try:
+        return Number(SLOWEST, FASTEST)(text)
+    except Refused:
+        raise Refused(f"is {quoted(text)}; it must be shipped, task, or {SLOWEST:g} to {FASTEST:g} m/s.") from None
 
 
 def check_generators(options: argparse.Namespace) -> None:
