@@ -12,6 +12,7 @@ from dynaforge.generators.names import GENERATORS, Level, Speed
 from dynaforge.generators.oracle import Oracle
 from dynaforge.generators.prediction import Prediction, chosen_lead_time
 from dynaforge.generators.replay import SynchronisedReplay
+from dynaforge.generators.state_machine import StateMachineGenerator
 from dynaforge.generators.static_scenes import check_supported
 from dynaforge.sim.prescribed import Release
 from dynaforge.sim.setting import Setting
@@ -76,6 +77,8 @@ def make_generator(
         case "replay":
             check_supported(task)
             return SynchronisedReplay(level=level, release=release, speed=object_speed)
+        case "state_machine":
+            return StateMachineGenerator(task)
         case "learner" if learner is not None:
             return _make_learner(learner, observations)
     raise ValueError(f"No generator {name!r}; known are {', '.join(GENERATORS)}.")
