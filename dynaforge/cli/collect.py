@@ -11,7 +11,7 @@ from dynaforge.cli.engine import on_ray
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.cli.tally import Tally
 from dynaforge.demos import DemonstrationDataset
-from dynaforge.generators import ConditionSource, GaveUp, Goal, collect, run_attempts
+from dynaforge.generators import ConditionSource, GaveUp, Goal, ResidualGenerator, collect, run_attempts
 from dynaforge.generators.by_name import setting_line
 from dynaforge.generators.giving_up import describe_counts
 from dynaforge.generators.ray_engine import run_attempts_on_ray
@@ -26,8 +26,8 @@ def run(options: argparse.Namespace) -> int:
     print(f"{task.name}: {setting_line(task, [generator])}")
     out = options.out
     dataset = DemonstrationDataset(out, task=task.name, keep_failures=options.keep_failures)
-    if policy := getattr(generator, "policy_hash", ""):
-        print(f"policy {policy}: {options.policy or 'the one shipped for this task'}")
+    if isinstance(generator, ResidualGenerator):
+        print(f"policy {generator.policy_hash}: {options.policy or 'the one shipped for this task'}")
     started, found = time.monotonic(), len(dataset.attempts())
     if found:
         print(f"{out} holds {found} attempts; resuming")

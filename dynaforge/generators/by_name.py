@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from dynaforge.algos.policy_file import POLICY_FILE, MlpPolicyFile
+from dynaforge.generators.dmp_generator import DmpGenerator
+from dynaforge.generators.dmp_source import read_source, record_source
 from dynaforge.generators.generator import ExploringPolicy, Generator, PlannerOnly, ResidualGenerator
 from dynaforge.generators.learner import LearnerGenerator
 from dynaforge.generators.names import GENERATORS, Level, Speed
@@ -27,6 +29,7 @@ def make_generator(
     *,
     policy: Path | None = None,
     lead_time: float | None = None,
+    source: Path | None = None,
     sigma: float = 0.25,
     oracle_tries: int = 64,
     learner: str | None = None,
@@ -43,6 +46,7 @@ def make_generator(
         task: What it attempts.
         policy: Policy file for "residual" and "exploring"; None takes the one that is shipped for the task.
         lead_time: Seconds of constant-velocity prediction for "prediction"; None takes the stored choice.
+        source: Recording of a source demonstration for "dmp"; None records one here, which takes seconds.
         sigma: Standard deviation of the noise for "exploring", in units of the residual action.
         oracle_tries: Residuals that "oracle" tries on each condition.
         learner: Where the policy of "learner" comes from: "module:function" or "file.py:function".
@@ -53,14 +57,16 @@ def make_generator(
         chosen: Parts of the task's setting in which a policy may have been trained otherwise; see `policy_for`.
 
     Raises:
-        ValueError: The name is unknown, the generator is not for this task, the policy file does not fit the task, or
-            none is shipped.
+        ValueError: The name is unknown, the generator is not for this task, or the policy file or the source does not
+            fit the task, or there is none.
     """
     match name:
         case "planner_only":
             return PlannerOnly()
         case "prediction":
             return Prediction(chosen_lead_time(task) if lead_time is None else lead_time)
+        case "dmp":
+            return DmpGenerator(record_source(task) if source is None else read_source(source, task), task)
         case "residual":
             trained = policy_for(task, policy, chosen=chosen)
             return ResidualGenerator(trained, policy_hash=trained.digest, trained_under=setting_of(trained))

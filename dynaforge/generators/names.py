@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-GENERATORS = ("planner_only", "prediction", "residual", "exploring", "oracle", "replay", "state_machine", "learner")
+GENERATORS = (
+    "planner_only",
+    "prediction",
+    "dmp",
+    "residual",
+    "exploring",
+    "oracle",
+    "replay",
+    "state_machine",
+    "learner",
+)
 """The generators that `make_generator` can make."""
 
-COLLECTING = ("residual", "planner_only", "prediction", "replay", "state_machine")
+COLLECTING = ("residual", "planner_only", "prediction", "dmp", "replay", "state_machine")
 """Generators for collecting; the oracle knows the outcome beforehand, and exploration is for training."""
 
 SETTINGS = {
     "policy": ("residual", "exploring"),
     "lead_time": ("prediction",),
+    "source": ("dmp",),
     "oracle_tries": ("oracle",),
     "sigma": ("exploring",),
     "level": ("replay",),

@@ -17,7 +17,7 @@ MOST_LEAD = 2.0  # seconds; an object that moves at 1 m/s would have crossed the
 
 
 def add_policy(parser: argparse.ArgumentParser) -> None:
-    """Add --policy and --lead-time."""
+    """Add --policy, --lead-time and --source."""
     parser.add_argument(
         "--policy",
         type=ExistingPath("file"),
@@ -28,6 +28,12 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
         type=Number(0.0, MOST_LEAD),
         metavar="SECONDS",
         help="constant-velocity prediction of the planner, for the generator prediction (default: the stored choice)",
+    )
+    parser.add_argument(
+        "--source",
+        type=ExistingPath("file"),
+        metavar="FILE",
+        help="source demonstration for the generator dmp, an episode of a dataset (default: one at rest is recorded)",
     )
 
 
