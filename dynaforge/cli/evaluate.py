@@ -14,7 +14,7 @@ from dynaforge.evaluation import DgrReport, comparison_table, task_table
 from dynaforge.generators import Generator, ResidualGenerator
 from dynaforge.generators.by_name import make_generator, setting_line
 from dynaforge.generators.collecting import Engine
-from dynaforge.generators.measure import measure
+from dynaforge.generators.measure import Until, ends_when_decided, measure, never
 from dynaforge.generators.names import SETTINGS
 from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.reports.evaluation import BINS, gains_over_first, reports_of, write_evaluation, write_task_table
@@ -35,11 +35,14 @@ def run(options: argparse.Namespace) -> int:
     table: dict[str, list[DgrReport]] = {}
     started = time.monotonic()
     for task, generators in planned:
-        measured = {g.name: _measured(task, g, options, engine) for g in generators}
+        measured: dict[str, list[Attempt]] = {}
+        for generator in generators:
+            until = ends_when_decided(next(iter(measured.values()))) if options.sequential and measured else never
+            measured[generator.name] = _measured(task, generator, options, engine, until)
         reports = reports_of(task, measured)
         print(f"\n{task.name}: stream {options.stream}, {options.seeds} x {options.attempts} conditions")
         print(comparison_table(reports))
-        gains = gains_over_first(task, measured)
+        gains = gains_over_first(task, measured, sequential=options.sequential)
         for gain in gains:
             print(gain.text)
         for report in reports:
@@ -86,11 +89,13 @@ def generator_of(name: str, task: Task, options: argparse.Namespace) -> Generato
         raise ValueError(f"--policy: {error}" if "policy" in settings else str(error)) from error
 
 
-def _measured(task: Task, generator: Generator, options: argparse.Namespace, engine: Engine | None) -> list[Attempt]:
+def _measured(
+    task: Task, generator: Generator, options: argparse.Namespace, engine: Engine | None, until: Until
+) -> list[Attempt]:
     n_strata = BINS if options.strata else None
     blocks = (
         islice(task.conditions.stream(options.stream, block, n_strata=n_strata), options.attempts)
         for block in range(options.seeds)
     )
     total = options.seeds * options.attempts
-    return measure(task, generator, blocks, total=total, workers=options.workers, engine=engine)
+    return measure(task, generator, blocks, total=total, workers=options.workers, engine=engine, until=until)

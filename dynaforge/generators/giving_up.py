@@ -56,7 +56,7 @@ def describe_counts(reasons: Counter[str], *, n: int = 3, longest: int = 160) ->
     return ", ".join(texts) or "no attempt failed"
 
 
-def refuse_if_all_raise(results: Iterator[Result], *, generator: str) -> Iterator[Result]:
+def refuse_if_all_raise(results: Iterator[Result], *, generator: str) -> Generator[Result, None, None]:
     """Yield the results as they come; a generator that only raises has no success rate, not even 0 %.
 
     Args:

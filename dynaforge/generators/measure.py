@@ -3,17 +3,47 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from typing import Protocol
 
 from tqdm import tqdm
 
 from dynaforge.demos import Attempt
+from dynaforge.evaluation.sequential import SequentialTest
 from dynaforge.generators.attempts import run_attempts
 from dynaforge.generators.collecting import Engine
 from dynaforge.generators.generator import Generator
 from dynaforge.generators.giving_up import refuse_if_all_raise
 from dynaforge.sim import Condition
 from dynaforge.tasks import Task
+
+
+class Succeeding(Protocol):
+    """An attempt of which only its success matters."""
+
+    @property
+    def success(self) -> bool:
+        """Whether it succeeded."""
+
+
+Until = Callable[[Succeeding], bool]
+"""Called with every attempt in the order of the conditions; where it returns True, that attempt is the last one."""
+
+
+def never(attempt: Succeeding) -> bool:
+    """Let every condition be attempted."""
+    return False
+
+
+def ends_when_decided(reference: Iterable[Succeeding]) -> Until:
+    """Return what ends a generator's attempts as soon as it is decided whether it succeeds more often, or less.
+
+    Args:
+        reference: The attempts of another generator on the same conditions in the same order, all of them.
+    """
+    test, others = SequentialTest(), iter(reference)
+    return lambda attempt: test.push(float(attempt.success) - float(next(others).success))
 
 
 def measure(
@@ -24,6 +54,7 @@ def measure(
     total: int,
     workers: int | None = None,
     engine: Engine | None = None,
+    until: Until = never,
 ) -> list[Attempt]:
     """Attempt conditions, with a progress bar, and return the attempts without recordings.
 
@@ -34,6 +65,7 @@ def measure(
         total: Number of conditions in all, for the bar.
         workers: Number of processes or actors; by default one per core that the engine may use.
         engine: What runs attempts; by default `run_attempts`.
+        until: Where it returns True, no more attempts are made, and those still in progress are dropped.
 
     Raises:
         GaveUp: The generator only raises, so that there is nothing to measure.
@@ -50,6 +82,13 @@ def measure(
     # One call for all blocks, since workers take longer to start than to make a block.
     run = engine or run_attempts
     results = (result.in_block(block_of.popleft()) for result in run(task, generator, conditions(), workers=workers))
-    measured = refuse_if_all_raise(results, generator=generator.name)
-    bar = tqdm(measured, total=total, leave=False, unit="attempt", desc=generator.name)
-    return [result.attempt for result in bar]
+    attempts: list[Attempt] = []
+    with (
+        closing(refuse_if_all_raise(results, generator=generator.name)) as measured,
+        tqdm(measured, total=total, leave=False, unit="attempt", desc=generator.name) as bar,
+    ):
+        for result in bar:
+            attempts.append(result.attempt)
+            if until(result.attempt):
+                break
+    return attempts

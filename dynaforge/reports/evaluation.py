@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 from dynaforge.demos import Attempt
 from dynaforge.evaluation import DgrReport, PairedDifference, paired_difference
 from dynaforge.evaluation.dgr_tables import describe_gain
+from dynaforge.evaluation.sequential import SequentialComparison, sequential_difference
 from dynaforge.evaluation.statistics import no_bin_worse
 from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
@@ -36,17 +37,21 @@ class Gain:
         paired: The difference of their DGR.
         worse_bins: Indices of the bins in which it is worse beyond the margin of `no_bin_worse`; None where the
             conditions are not spread evenly over the bins.
+        ended: Where the comparison could end, if it was allowed to end early.
     """
 
     generator: str
     against: str
     paired: PairedDifference
     worse_bins: tuple[int, ...] | None
+    ended: SequentialComparison | None = None
 
     @property
     def text(self) -> str:
-        """The gain in one line, and a second line about the bins if they were compared."""
+        """The gain in one line, and more about where the comparison ended and about the bins if they were compared."""
         line = f"{self.generator} against {self.against}: {describe_gain(self.paired)}"
+        if self.ended is not None:
+            line += f"\n{self.ended.describe()}"
         if self.worse_bins is None:
             return line
         if not self.worse_bins:
@@ -62,6 +67,8 @@ class Gain:
             "interval": list(self.paired.interval),
             "p": self.paired.p_value,
         }
+        if self.ended is not None:
+            data["sequential"] = asdict(self.ended)
         if self.worse_bins is not None:
             data["no_bin_lost"] = {"holds": not self.worse_bins, "lost": list(self.worse_bins)}
         return data
@@ -82,16 +89,22 @@ def by_generator(attempts: Sequence[Attempt]) -> dict[str, list[Attempt]]:
     return {name: [attempt for attempt in attempts if attempt.generator == name] for name in names}
 
 
-def gains_over_first(task: Task, measured: Measured) -> list[Gain]:
-    """Compare every generator with the first one."""
+def gains_over_first(task: Task, measured: Measured, *, sequential: bool = False) -> list[Gain]:
+    """Compare every generator with the first one, on the conditions that both attempted.
+
+    Args:
+        task: The task.
+        measured: The attempts; those of a generator after the first may have ended early.
+        sequential: Whether they were allowed to.
+    """
     (first, attempts), *others = measured.items()
-    before = [attempt.success for attempt in attempts]
-    evenly_spread = _evenly_spread(task, attempts)
     gains = []
     for name, others_attempts in others:
-        after = [attempt.success for attempt in others_attempts]
-        worse = no_bin_worse(_by_bin(before), _by_bin(after)).worse if evenly_spread else None
-        gains.append(Gain(name, first, paired_difference(before, after), worse))
+        n = len(others_attempts)
+        before, after = ([attempt.success for attempt in made[:n]] for made in (attempts, others_attempts))
+        worse = no_bin_worse(_by_bin(before), _by_bin(after)).worse if _evenly_spread(task, attempts[:n]) else None
+        ended = sequential_difference(before, after, available=len(attempts)) if sequential else None
+        gains.append(Gain(name, first, paired_difference(before, after), worse, ended))
     return gains
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from dynaforge.evaluation import DgrReport, FrontierAnalysis
 from dynaforge.evaluation.dgr import Count, ranked_reasons
 from dynaforge.evaluation.frontier import WINDOW, trailing_mean
+from dynaforge.evaluation.psychometric import PsychometricCurve
 from dynaforge.reports.extras import load_extra
 
 Format = Literal["svg", "png"]
@@ -171,6 +172,44 @@ def dgr_by_difficulty(reports: Sequence[DgrReport], *, unit: str = "", fmt: Form
         return _bytes(figure, fmt)
 
 
+def psychometric_curves(
+    panels: Mapping[str, Mapping[str, tuple[PsychometricCurve, DgrReport]]], *, fmt: Format = "svg"
+) -> bytes:
+    """Draw success against speed, a panel for each task: the fitted curves, and the rates of difficulty bins as dots.
+
+    Args:
+        panels: Task to the label of each generator to its curve and its report.
+        fmt: Format of the image.
+    """
+    labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
+    style = {
+        label: {"color": colour, "linewidth": 1.8, "linestyle": "-" if k < len(_CURVES) else "--"}
+        for k, (label, colour) in enumerate(zip(labels, _cycle(len(labels)), strict=True))
+    }
+    columns = min(3, max(len(panels), 1))
+    rows = -(-len(panels) // columns)
+    with _drawing((11.0, 0.8 + 2.4 * rows), (rows, columns)) as (figure, grid):
+        for axes in grid.flat[len(panels) :]:
+            axes.remove()
+        for axes, (task, curves) in zip(grid.flat, panels.items(), strict=False):
+            axes.set_title(task)
+            for label, (curve, report) in curves.items():
+                x = np.linspace(*curve.span, 200)
+                axes.plot(x, curve.at(x), **style[label])
+                if np.allclose((report.edges[0], report.edges[-1]), curve.span):
+                    middles = [(low + high) / 2 for low, high in itertools.pairwise(report.edges)]
+                    dots = style[label] | {"linestyle": "", "marker": "."}
+                    axes.plot(middles, [count.rate for count in report.bins], **dots)
+            axes.axhline(0.5, color=GREY, linewidth=0.8, linestyle=":")
+            _percent(axes)
+        line = load_extra("matplotlib.lines").Line2D
+        handles = [line([], [], **style[label]) for label in labels]
+        figure.supxlabel("speed, m/s", fontsize=11)
+        figure.supylabel("success", fontsize=11)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        return _bytes(figure, fmt)
+
+
 def failure_bars(reports: Sequence[DgrReport], *, most: int = 10, fmt: Format = "svg") -> bytes:
     """Draw the number of failed attempts by reason, the most frequent on top.
 
@@ -234,12 +273,12 @@ def _percent(axes: Any) -> None:
 
 
 @contextmanager
-def _drawing(size: tuple[float, float]) -> Iterator[tuple[Any, Any]]:
-    """Yield a styled figure of a size in inches, and its axes."""
+def _drawing(size: tuple[float, float], grid: tuple[int, int] | None = None) -> Iterator[tuple[Any, Any]]:
+    """Yield a styled figure of a size in inches, and its axes; an array of them, with a grid of rows and columns."""
     with load_extra("matplotlib").rc_context(_STYLE):
         figure = load_extra("matplotlib.figure").Figure(figsize=size, layout="constrained")
         load_extra("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
-        yield figure, figure.add_subplot()
+        yield figure, figure.add_subplot() if grid is None else figure.subplots(*grid, squeeze=False)
 
 
 def _bytes(figure: Any, fmt: Format) -> bytes:

@@ -85,6 +85,15 @@ class ConditionSpace:
         """Lowest and highest nominal difficulty."""
         return self.ranges[self.difficulty]
 
+    @property
+    def speed(self) -> str | None:
+        """Name of the field that is the speed of what moves, by its unit m/s; None where no field is, or two may be.
+
+        The difficulty goes before the others, since it is the speed of what is hard to follow.
+        """
+        speeds = [name for name in self.ranges if self.units.get(name) == "m/s"]
+        return self.difficulty if self.difficulty in speeds else speeds[0] if len(speeds) == 1 else None
+
     def stratum(self, difficulty: float, n_strata: int) -> int:
         """Return which of `n_strata` equal parts of the range a difficulty falls into; outliers count to the ends."""
         check_whole("n_strata", n_strata, least=1)

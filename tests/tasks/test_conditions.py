@@ -132,3 +132,16 @@ def test_units_are_those_of_fields_and_travel_along() -> None:
 
 def test_every_difficulty_of_the_package_has_a_unit() -> None:
     assert all(space.units[space.difficulty] for space in SPACES)
+
+
+def test_the_speed_is_the_difficulty_if_that_is_one_or_else_the_only_speed() -> None:
+    assert [space.speed for space in SPACES] == ["speed"] * len(SPACES)
+    ranges = {"angle": (0.0, 1.0), "belt": (0.0, 2.0), "bowl": (0.0, 3.0)}
+    for difficulty, units, speed in (
+        ("angle", {}, None),
+        ("angle", {"belt": "m/s", "angle": "rad"}, "belt"),
+        ("angle", {"belt": "m/s", "bowl": "m/s"}, None),
+        ("bowl", {"belt": "m/s", "bowl": "m/s"}, "bowl"),
+        ("bowl", {"belt": "m/s", "bowl": "mm"}, "belt"),
+    ):
+        assert ConditionSpace("toy", difficulty, ranges, units=units).speed == speed

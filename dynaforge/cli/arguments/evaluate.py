@@ -45,6 +45,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--attempts", type=WholeNumber(), default=100, help="conditions per block")
     parser.add_argument("--strata", action="store_true", help="spread each block evenly over 8 difficulty bins")
     parser.add_argument(
+        "--sequential",
+        action="store_true",
+        help="compare a generator with the first one only until an anytime-valid test at level 5 %% decides",
+    )
+    parser.add_argument(
         "--oracle-tries",
         type=WholeNumber(),
         help="random residuals per condition for oracle: constant, redrawn for each phase, with feedback (default 64)",
