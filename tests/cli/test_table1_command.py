@@ -187,6 +187,19 @@ def test_policies_of_vanilla_grpo_make_a_row_from_a_folder_of_compare(engine: En
     assert noted == {"can": {}, "pen": {"grpo": f"{tmp_path / 'runs'} has no policy for pen"}}
 
 
+def test_evaluate_ends_comparisons_early_too(
+    engine: Engine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["evaluate", "--task", "can", "--generator", "residual", "planner_only", "--out", str(tmp_path / "e.json")]
+    assert main([*asked, "--seeds", "2", "--attempts", "20", "--sequential"]) == 0
+    n = engine.made.count(("can", "planner_only"))
+    assert engine.made == [("can", "residual")] * 40 + [("can", "planner_only")] * n
+    assert f"decided after {n} of 40 conditions" in capsys.readouterr().out
+    stored = json.loads((tmp_path / "e.json").read_text())
+    assert [len(outcomes) for outcomes in stored["outcomes"].values()] == [40, n]
+    assert stored["gains"]["planner_only"]["sequential"]["n"] == n < 20
+
+
 def test_it_measures_what_evaluate_measures(tmp_path: Path) -> None:
     asked = ["--task", "can", "--seeds", "1", "--attempts", "2", "--stream", "test", "--workers", "1"]
     assert main(["table1", *asked, "--generators", "planner_only", "--out", str(tmp_path / "out")]) == 0

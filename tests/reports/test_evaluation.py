@@ -68,3 +68,20 @@ def test_an_evaluation_stores_the_processor_time_of_every_attempt(tmp_path: Path
     path = tmp_path / "evaluation.json"
     write_evaluation(path, CAN, measured, reports=reports_of(CAN, measured), gains=[], policies={}, command="")
     assert json.loads(path.read_text())["cpu_seconds"] == {"a": [0.5, 1.5, None]}
+
+
+def test_a_gain_of_a_comparison_that_ended_early_says_where_and_compares_what_both_attempted() -> None:
+    before, after = np.zeros(48, bool), np.ones(11, bool)
+    measured = {"planner_only": attempts("planner_only", before), "new": attempts("new", after)}
+    (gain,) = gains_over_first(CAN, measured, sequential=True)
+    assert gain.paired.n == 11
+    assert gain.worse_bins is None
+    assert gain.ended is not None
+    assert (gain.ended.n, gain.ended.available, gain.ended.decided) == (8, 48, True)  # as the test of it works out
+    assert (
+        "decided after 8 of 48 conditions (anytime-valid test, level 5 %), 83 % saved; difference 95 % [+" in gain.text
+    )
+    assert gain.to_dict()["sequential"]["n"] == 8
+    (fixed,) = gains_over_first(CAN, measured)
+    assert fixed.ended is None
+    assert "sequential" not in fixed.to_dict()
