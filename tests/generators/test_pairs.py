@@ -81,17 +81,19 @@ def test_a_kill_leaves_no_half_pair(tmp_path: Path) -> None:
 
 
 def test_a_pair_that_ended_early_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    seen: list[str] = []
-    early = pair(tmp_path).measure(engine=Engine(), until=lambda attempt: seen.append(attempt.id) or len(seen) == 4)
+    seen: list[bool] = []
+    early = pair(tmp_path).measure(
+        engine=Engine(), until=lambda attempt: seen.append(attempt.success) or len(seen) == 4
+    )
     assert [attempt.block for attempt in early.attempts] == [0, 0, 0, 1]
-    assert seen == early.ids
+    assert seen == early.success
     rest = Engine()
     whole = pair(tmp_path).measure(engine=rest)
     assert len(rest.made) == 2
     assert list(whole.attempts) == list(pair(tmp_path / "elsewhere").measure(engine=Engine()).attempts)
-    judged: list[str] = []
-    pair(tmp_path).measure(engine=rest, until=lambda attempt: judged.append(attempt.id) is not None)
-    assert judged == whole.ids  # what is stored is judged too
+    judged: list[bool] = []
+    pair(tmp_path).measure(engine=rest, until=lambda attempt: judged.append(attempt.success) is not None)
+    assert judged == whole.success  # what is stored is judged too
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def check(options: argparse.Namespace) -> None:
     measured = any(out.glob("*/*.json"))
     if options.report_only and not measured:
         raise ValueError(f"--report-only finds nothing measured in {out}; leave it out to measure.")
-    others = [path.name for path in out.iterdir() if path.name[0] != "."] if out.is_dir() else []
+    others = sorted(path.name for path in out.iterdir() if path.name[0] != ".") if out.is_dir() else []
     if others and not measured and "refused.json" not in others:
         raise ValueError(f"--out {out} holds other data ({others[0]}). Choose a new or empty folder.")
 
