@@ -141,7 +141,9 @@ def _arm_flags(episode: Episode, robot: RobotDescription) -> Iterator[Flag]:
     if "joint_velocity_reference" in steps:
         velocity = steps["joint_velocity_reference"]
         if "joint_reference" in steps:
-            share = robot.speed_limits.share(steps["joint_reference"], velocity)
+            # The velocity is that of the step's end, or its mean where the target was absolute (`TargetFollower`).
+            end, back = steps["joint_reference"], velocity * (0.5 * dt.mean() if len(dt) else 0.0)
+            share = np.minimum(*(robot.speed_limits.share(q, velocity) for q in (end, end - back)))
             yield from _flag(share > MARGIN, "a joint is commanded to {:.2f} of its speed limit there", share)
         acceleration = np.diff(velocity, axis=0) / dt
         share = (np.abs(acceleration) / robot.ddq_max).max(axis=1)

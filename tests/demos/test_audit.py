@@ -86,7 +86,7 @@ def ask_for_too_much_acceleration(steps: Columns) -> None:
         (too_fast, "a joint moves at 1.53 of its speed limit"),
         (snap, "the hand opens or closes at 1.2"),
         (ask_for_too_much_speed, "commanded to 1.07 of its speed limit"),
-        (ask_for_too_much_speed_near_an_end, "commanded to 1.18 of its speed limit"),
+        (ask_for_too_much_speed_near_an_end, "commanded to 1.08 of its speed limit"),
         (ask_for_too_much_acceleration, "commanded to 1.50 of its acceleration limit"),
     ],
 )
@@ -95,6 +95,13 @@ def test_an_edit_is_flagged_where_it_was_made(can: Episode, edit: Callable[[Colu
     edit(steps)
     found = [flag for flag in audit.audit(replace(can, steps=steps)) if violation in str(flag)]
     assert [flag.step for flag in found] in ([4], [5])
+
+
+def test_a_speed_within_the_limit_of_the_middle_of_its_step_is_possible(can: Episode) -> None:
+    steps = {name: column.copy() for name, column in can.steps.items()}
+    ask_for_too_much_speed_near_an_end(steps)
+    steps["joint_velocity_reference"][5] *= 0.9  # 0.63 rad/s: over 0.594 at the end, under 0.640 half a step before
+    assert "speed limit there" not in " ".join(map(str, audit.audit(replace(can, steps=steps))))
 
 
 def test_jerk_counts_too(can: Episode) -> None:
