@@ -14,7 +14,6 @@ from dynaforge.files.atomic import atomic_write, make_folder
 from dynaforge.generators import Generator, PlannerOnly, make_generator
 from dynaforge.generators.by_name import setting_line
 from dynaforge.generators.generator import make_env
-from dynaforge.generators.names import GENERATORS
 from dynaforge.reports.extras import load_extra
 from dynaforge.reports.motivation import film, film_strip, first_telling, shoot
 from dynaforge.sim import Condition
@@ -52,8 +51,8 @@ def run(options: argparse.Namespace) -> int:
     index, failed, solved = found
     told = f"condition {index} of {STREAM}, {_difficulty(task, failed)}"
     print(f"{told}: the first that the planner fails ({failed.failure}) and the residual solves")
-    replayed = [] if replay is None else [_attempt(task, replay, failed.condition)]
-    _write(options, task, [failed, *replayed, solved], told)
+    replayed = None if replay is None else _attempt(task, replay, failed.condition)
+    _write(options, task, [episode for episode in (failed, replayed, solved) if episode], told)
     return 0
 
 
@@ -63,20 +62,21 @@ def _difficulty(task: Task, episode: Episode) -> str:
 
 
 def _replay(task: Task) -> Generator | None:
-    """Return the generator that replays; None, with a line that says so, where there is none for the task."""
-    if REPLAY not in GENERATORS:
-        print("replay is left out: there is no generator of that name.")
-        return None
+    """Return the generator that replays, its object as fast as the condition says; None, with a line why, if not."""
     try:
-        return make_generator(REPLAY, task)
+        return make_generator(REPLAY, task, object_speed="task")
     except ValueError as error:
         print(f"replay is left out: {error}")
         return None
 
 
-def _attempt(task: Task, generator: Generator, condition: Condition) -> Episode:
+def _attempt(task: Task, generator: Generator, condition: Condition) -> Episode | None:
+    """Return an attempt; None, with a line that says so, if it ended before anything moved."""
     with contextlib.closing(make_env(generator, task)) as env:
-        return generator.attempt(env, condition)
+        episode = generator.attempt(env, condition)
+    if not len(episode):
+        print(f"{generator.name} is left out: {episode.failure}.")
+    return episode if len(episode) else None
 
 
 def _write(options: argparse.Namespace, task: Task, episodes: list[Episode], told: str) -> None:

@@ -4,58 +4,56 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice, product
-from pathlib import Path
+from itertools import product
 
 from dynaforge.cli.arguments.table2 import GRPO, TRAINED
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.generators import Generator
+from dynaforge.generators.pairs import Pair
 from dynaforge.reports.costs import Missing
-from dynaforge.reports.stored_evaluation import StoredEvaluation, origin_of, read_evaluations
-from dynaforge.sim import Condition
+from dynaforge.reports.stored_evaluation import StoredEvaluation, read_evaluations
 from dynaforge.tasks import Task
+from dynaforge.training.matrix import refuse_links
 from dynaforge.training.training_cost import training_cost
 
 MEASURED = "measured"
-"""Folder below --out with what the command measured, a file for each task and generator."""
+"""Folder below --out with what the command measured, TASK/GENERATOR.json as in the folder of `dynaforge table1`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
+class PricedPair:
     """A generator on a task.
 
     Attributes:
         task: The task.
         name: Name of the generator.
         preparation: CPU-hours before its first attempt.
-        generator: The generator; None if its attempts were given, and it need not be made.
         measured: What is known of its attempts; None if they are yet to be made.
-        path: The file of its attempts, where this command makes them.
+        pair: What makes them; None if they were given.
     """
 
     task: Task
     name: str
     preparation: float
-    generator: Generator | None
-    measured: StoredEvaluation | None
-    path: Path
+    measured: StoredEvaluation | None = None
+    pair: Pair | None = None
 
 
-def planned(options: argparse.Namespace) -> tuple[list[Pair], Missing]:
+def planned(options: argparse.Namespace) -> tuple[list[PricedPair], Missing]:
     """Return every pair that the options ask for, and why there are no others.
 
     Raises:
         ValueError: What was measured or trained does not fit the tasks, or --policy does not, or nothing can be done.
     """
     given = {(found.generator, found.task): found for found in read_evaluations(options.measured)}
-    pairs: list[Pair] = []
+    pairs: list[PricedPair] = []
     missing: dict[tuple[str, str], str] = {}
     for task, name in product(chosen_tasks(options), options.generator):
         measured, generator, hours = given.get((name, task.name)), None, 0.0
-        path = Path(options.out) / MEASURED / f"{task.name}-{name}.json"
+        if measured is not None:
+            measured.check(task)
         if measured is None or name not in TRAINED:
             try:
                 generator, hours = _made(name, task, options)
@@ -66,20 +64,11 @@ def planned(options: argparse.Namespace) -> tuple[list[Pair], Missing]:
                 continue
         if name in TRAINED:
             hours = _training_hours(options, task, GRPO if name == GRPO else options.variant)
-        if measured is None and generator is not None and path.exists():
-            measured = _measured_earlier(path, task, generator, options)
-        if measured is not None:
-            measured.check(task)
-        pairs.append(Pair(task=task, name=name, preparation=hours, generator=generator, measured=measured, path=path))
+        pair = _pair(name, task, generator, options) if measured is None and generator is not None else None
+        pairs.append(PricedPair(task=task, name=name, preparation=hours, measured=measured, pair=pair))
     if not pairs:
         raise ValueError(f"None of the generators does any of the tasks: {'; '.join(missing.values())}")
     return pairs, missing
-
-
-def blocks(task: Task, options: argparse.Namespace) -> Iterator[Iterator[Condition]]:
-    """Yield the conditions of each block that is attempted."""
-    for block in range(options.seeds):
-        yield islice(task.conditions.stream(options.stream, block), options.attempts)
 
 
 def _made(name: str, task: Task, options: argparse.Namespace) -> tuple[Generator, float]:
@@ -98,19 +87,17 @@ def _training_hours(options: argparse.Namespace, task: Task, variant: str | None
         raise ValueError(f"--training: {error}{' Name it as --variant.' if 'choose' in str(error) else ''}") from error
 
 
-def _measured_earlier(
-    path: Path, task: Task, generator: Generator, options: argparse.Namespace
-) -> StoredEvaluation | None:
-    """Return what an interrupted call of the same command measured.
-
-    Raises:
-        ValueError: The file tells of other conditions or of another generator of that name.
-    """
-    (found,) = read_evaluations([path])
-    ids = tuple(condition.id for block in blocks(task, options) for condition in block)
-    if found.conditions != ids or found.origin != origin_of(generator):
-        raise ValueError(
-            f"--out {options.out} holds {path.relative_to(options.out)}, measured on other conditions or with another "
-            "policy. Choose another folder, or repeat the command that made it."
-        )
-    return found
+def _pair(name: str, task: Task, generator: Generator, options: argparse.Namespace) -> Pair:
+    """Return what measures a generator, once it is known that nothing else is stored in its place."""
+    pair = Pair(
+        task=task,
+        row=name,
+        generator=generator,
+        stream=options.stream,
+        blocks=options.seeds,
+        attempts=options.attempts,
+        path=options.out / MEASURED / task.name / f"{name}.json",
+    )
+    refuse_links(pair.path, options.out)
+    pair.stored()
+    return pair

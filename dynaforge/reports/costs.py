@@ -18,6 +18,7 @@ from dynaforge.files.atomic import atomic_write
 from dynaforge.files.versions import package_versions
 
 NEVER, NONE = "never", "N/A"
+SOME = 1e-4  # CPU-hours: what takes less than a third of a second is no preparation
 PAIR_COLUMNS = ("task", "generator", "DGR", "CPU-s", "attempts", "95 %", "preparation h", "collection h", "sum h")
 TOTAL_COLUMNS = ("generator", "attempts", "preparation h", "collection h", "sum h", "model h", "paper h")
 
@@ -209,7 +210,7 @@ def _hours(hours: float | None) -> str:
         return "-"
     if math.isinf(hours):
         return NEVER
-    return "< 0.01" if 0.0 < hours < 0.01 else f"{hours:.2f}"
+    return "< 0.01" if SOME <= hours < 0.01 else f"{hours:.2f}"
 
 
 def _text(columns: Sequence[str], rows: Sequence[Sequence[str]], names: int, *, width: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -12,7 +12,6 @@ from typing import Any
 from dynaforge.demos.untrusted import MALFORMED_FILE_ERRORS, DamagedFileError, read_json
 from dynaforge.evaluation import DgrReport
 from dynaforge.evaluation.dgr import Count
-from dynaforge.generators import Generator, ResidualGenerator
 from dynaforge.tasks import Task
 from dynaforge.tasks.digest import task_digest
 
@@ -26,8 +25,6 @@ class StoredEvaluation:
         generator: Name of the generator.
         count: Successes among all attempts.
         seconds: CPU-seconds of an attempt, mean over all attempts whose time is known; NaN where none is.
-        conditions: Ids of the conditions, in order.
-        origin: What tells which policy it ran, or how it was set up, as plain data; see `origin_of`.
         definition: Digest of the task's definition, its setting included.
         path: The file.
     """
@@ -36,8 +33,6 @@ class StoredEvaluation:
     generator: str
     count: Count
     seconds: float
-    conditions: tuple[str, ...]
-    origin: Mapping[str, Any]
     definition: str
     path: Path
 
@@ -57,15 +52,6 @@ class StoredEvaluation:
                 f"{self.path} does not tell the processor time of attempts by {self.generator!r}, since it was "
                 "measured before that was stored. Measure again."
             )
-
-
-def origin_of(generator: Generator) -> dict[str, Any]:
-    """Return what tells a generator from another one of the same name, as plain data: its policy, or its settings."""
-    if isinstance(generator, ResidualGenerator):
-        return generator.policy_origin
-    settings: Any = generator  # a protocol is no dataclass to mypy
-    given = {part.name: getattr(settings, part.name) for part in fields(settings)} if is_dataclass(settings) else {}
-    return {name: value for name, value in given.items() if isinstance(value, (bool, int, float, str))}
 
 
 def read_evaluations(paths: Iterable[Path]) -> list[StoredEvaluation]:
@@ -109,12 +95,10 @@ def _evaluation(path: Path, data: Mapping[str, Any], report: DgrReport) -> Store
         generator=report.label,
         count=report.total,
         seconds=mean(known) if known else math.nan,
-        conditions=tuple(str(condition["id"]) for condition in data["conditions"]),
-        origin=dict(data.get("policies", {}).get(report.label, {})),
         definition=str(data["task_definition"]),
         path=path,
     )
-    return _checked(found)
+    return _checked(found, len(data["conditions"]))
 
 
 def _pair(path: Path, data: Mapping[str, Any]) -> StoredEvaluation:
@@ -126,18 +110,16 @@ def _pair(path: Path, data: Mapping[str, Any]) -> StoredEvaluation:
         generator=str(data["row"]),
         count=Count(sum(attempt["success"] is True for attempt in attempts), len(attempts)),
         seconds=mean(seconds) if seconds else math.nan,
-        conditions=tuple(str(attempt["id"]) for attempt in attempts),
-        origin={"policy": identity.get("policy", "")},
         definition=str(data["definition"]),
         path=path,
     )
     if found.count.n < identity["blocks"] * identity["attempts"]:
         raise ValueError("its attempts ended early, so that their rate leans to one side; make up the missing ones")
-    return _checked(found)
+    return _checked(found, len(attempts))
 
 
-def _checked(found: StoredEvaluation) -> StoredEvaluation:
-    counts_fit = 0 <= found.count.successes <= found.count.n == len(found.conditions)
+def _checked(found: StoredEvaluation, n: int) -> StoredEvaluation:
+    counts_fit = 0 <= found.count.successes <= found.count.n == n
     if not counts_fit or not found.count.n or found.seconds < 0.0:
         raise ValueError("its counts contradict each other")
     return found

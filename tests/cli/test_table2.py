@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from dynaforge.cli import table2
 from dynaforge.cli.arguments.table2 import TASKS
 from dynaforge.cli.main import main
 from dynaforge.demos import Attempt
 from dynaforge.evaluation.costs import PAPER_TASKS
+from dynaforge.generators import pairs
 from dynaforge.reports.evaluation import reports_of, write_evaluation
 from dynaforge.sim import Condition
 from dynaforge.tasks import Outcome, Task, get_task
@@ -77,7 +77,7 @@ class Counted:
 def counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Counted:
     monkeypatch.chdir(tmp_path)
     measure = Counted()
-    monkeypatch.setattr(table2, "measure", measure)
+    monkeypatch.setattr(pairs, "measure", measure)
     return measure
 
 
@@ -95,9 +95,9 @@ def test_what_is_missing_is_measured_once(counted: Counted, capsys: pytest.Captu
     assert planner["collection_hours"] == pytest.approx(1600 / 3600)
     assert "1,600" in capsys.readouterr().out
     assert main([*LINE, "prediction", "--lead-time", "1.5"]) == 2  # another prediction is another generator
-    assert "with another policy" in capsys.readouterr().err
+    assert "prediction.json was measured with another definition of task 'can'" in capsys.readouterr().err
     assert main([*LINE, "planner_only", "--attempts", "5"]) == 2
-    assert "measured on other conditions" in capsys.readouterr().err
+    assert "was measured with attempts 4, now attempts 5" in capsys.readouterr().err
 
 
 def test_training_counts_for_the_residual_and_nothing_is_measured_twice(counted: Counted, tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ import pytest
 from dynaforge.cli import report
 from dynaforge.cli.main import main
 from dynaforge.demos import Episode
-from dynaforge.generators.names import GENERATORS
 from dynaforge.reports.motivation import FRAME_STEPS, Shot, first_telling, greatest_since, moments, shoot
 from dynaforge.sim import Condition, SimScene
 from dynaforge.tasks import Outcome, Task, get_task
@@ -106,23 +105,27 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimScene, "picture", lambda self, camera: np.full((12, 16, 3), 128, np.uint8))
 
 
-def test_the_command_films_planner_and_residual_on_one_condition(
-    small: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_command_films_three_generators_on_one_condition(
+    small: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(report, "GENERATORS", [name for name in GENERATORS if name != "replay"])
     out = tmp_path / "why"
     line = ["report", "motivation", "--task", "can", "--conditions", "8", "--frames", "3", "--out", str(out)]
     assert main(line) == 0
     printed = capsys.readouterr().out
-    assert "replay is left out" in printed
     assert "the first that the planner fails" in printed
     assert (out / "motivation.png").read_bytes()[:4] == PNG
     assert (out / "motivation.mp4").read_bytes()[4:8] == MP4
     told = json.loads((out / "motivation.json").read_text())
-    planner, residual = told["attempts"]
-    assert (planner["generator"], residual["generator"]) == ("planner_only", "residual")
+    planner, replay, residual = told["attempts"]
+    assert [each["generator"] for each in told["attempts"]] == ["planner_only", "replay-task-speed", "residual"]
+    assert replay["duration"] > 1.0
     assert residual["outcome"] == "success" != planner["outcome"]
     assert residual["peak_force"] > 1.0
+
+
+def test_a_task_that_cannot_be_replayed_is_shown_without_a_replay(capsys: pytest.CaptureFixture[str]) -> None:
+    assert report._replay(get_task("lemon")) is None
+    assert "replay is left out: The generator replay is for the tasks can, bottle" in capsys.readouterr().out
 
 
 def test_a_task_without_a_policy_is_refused_before_the_work(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from dynaforge.cli.arguments.generators import add_policy, check_generators
+from dynaforge.cli.arguments.generators import add_policy, add_replay, check_generators
 from dynaforge.cli.arguments.shared import add_engine, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
@@ -59,6 +59,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="which trainings of that folder; needed where it has several variants",
     )
     add_policy(parser)
+    add_replay(parser)
     parser.add_argument("--demos", type=WholeNumber(), default=800, help="demonstrations per task")
     add_stream(parser, "test")
     parser.add_argument("--seeds", type=WholeNumber(1, 1000), default=3, help="blocks of conditions to measure on")
