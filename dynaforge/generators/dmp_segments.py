@@ -12,7 +12,15 @@ import numpy as np
 
 from dynaforge.demos import Episode
 from dynaforge.generators.dmp import MIN_SAMPLES
-from dynaforge.geometry import Array, Pose, matrix_from_quat, matrix_from_rotvec, rotation_z, rotvec_from_matrix
+from dynaforge.geometry import (
+    Array,
+    Pose,
+    matrix_from_quat,
+    matrix_from_rotvec,
+    one_line,
+    rotation_z,
+    rotvec_from_matrix,
+)
 from dynaforge.sim import BodyState
 from dynaforge.tasks import Phase, Task
 from dynaforge.tasks.targets import DOWN_ALONG_X, Catching, Grip, Pressing, Raised
@@ -165,6 +173,8 @@ class Segment:
     path: Array
     widths: Array
     T_object_hand: Pose | None
+
+    __repr__ = one_line
 
 
 def subtasks(phases: Sequence[Phase]) -> list[list[int]]:

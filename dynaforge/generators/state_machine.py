@@ -18,7 +18,7 @@ from dynaforge.envs.task_env import TaskEnv
 from dynaforge.generators.generator import episode_of
 from dynaforge.generators.recording import Recorder
 from dynaforge.generators.state_machine_sight import Sight, Skill, raised, skill_for
-from dynaforge.geometry import Array, Pose
+from dynaforge.geometry import Array, Pose, one_line
 from dynaforge.sim import Condition, HandTarget, SceneState
 from dynaforge.sim.robot import HAND_WIDTH
 from dynaforge.tasks import Task
@@ -79,6 +79,8 @@ class Memory:
     command: HandTarget
     turned: Array | None = None
     outside: int = 0
+
+    __repr__ = one_line
 
 
 class StateMachine:

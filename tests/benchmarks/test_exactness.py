@@ -37,9 +37,9 @@ def test_six_histories_leave_one_hash_and_a_reset_that_keeps_joint_velocities_is
     assert len(set(hashes.values())) == 1
     exact = SimScene.reset
 
-    def teleport(scene, condition):
+    def teleport(scene, condition, **options):
         bullet, before = scene._bullet, scene.observe().dq.tolist()
-        exact(scene, condition)
+        exact(scene, condition, **options)
         for joint, q, speed in zip(bullet.robot.arm, scene.robot.q_ready.tolist(), before, strict=True):
             bullet.client.resetJointState(bullet.robot.body, joint, q, speed)
         return scene.observe()

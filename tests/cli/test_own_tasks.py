@@ -26,8 +26,9 @@ from dynaforge.tasks.digest import task_digest
 from dynaforge.training.run_spec import RunSpec
 from dynaforge.training.settings import variants
 
-ONE = {"forge": ["--task"], "collect": ["--task"]}
-SEVERAL = {"describe": [], "evaluate": ["--task"], "compare": ["--task"], "bench": ["--task"]}
+ONE = {"forge": ["--task"], "collect": ["--task"], "report": ["motivation", "--task"]}
+SEVERAL = {"describe": [], "table2": ["--generator", "planner_only", "--task"]}
+SEVERAL |= {name: ["--task"] for name in ("evaluate", "compare", "bench", "table1")}
 ON_DATASETS = {"info": [], "verify": [], "render": [], "view": [], "export": ["--format", "minari"]}
 WITHOUT = {"list"}
 FORMS = ("ball.py", "ball", "BALL", "DynaForge/Ball-v0", "DynaForge/BallTask-v0", "dynaforge:DynaForge/Ball-v0")

@@ -74,9 +74,11 @@ def test_examples_of_help_are_command_lines(monkeypatch: pytest.MonkeyPatch, tmp
     DemonstrationDataset("data/can", task="can")
     for name, command in COMMANDS.items():
         for example in command.examples:
-            for policy in re.findall(r"--policy (\S+)", example):  # which an example of `forge` makes
-                Path(policy).parent.mkdir(parents=True, exist_ok=True)
-                Path(policy).touch()
+            for made in re.findall(r"--(?:policy|measured) (\S+)", example):  # by other commands
+                Path(made).parent.mkdir(parents=True, exist_ok=True)
+                Path(made).touch()
+            for made in re.findall(r"--training (\S+)", example):
+                Path(made).mkdir(parents=True, exist_ok=True)
             command.read(name, example.split()[1:])
 
 

@@ -10,7 +10,6 @@ from dynaforge.algos.policy_file import MlpPolicyFile
 from dynaforge.envs.residual_env import ResidualEnv
 from dynaforge.generators import make_generator
 from dynaforge.generators.by_name import setting_line
-from dynaforge.sim.spec import asset_path
 from dynaforge.tasks import TASK_NAMES, Task, get_task
 from dynaforge.tasks.digest import definition_of
 
@@ -18,9 +17,13 @@ CAN = get_task("can")
 
 
 def policy_of(task: Task, path: Path, **meta: object) -> Path:
+    return policy_with(definition_of(task) | meta, task, path)
+
+
+def policy_with(meta: dict[str, object], task: Task, path: Path) -> Path:
     inputs, outputs = ResidualEnv.sizes(task)
     layer = (np.zeros((outputs, inputs), np.float32), np.zeros(outputs, np.float32))
-    MlpPolicyFile([layer], "Tanh", task=task.name, meta=definition_of(task) | meta).save(path)
+    MlpPolicyFile([layer], "Tanh", task=task.name, meta=meta).save(path)
     return path
 
 
@@ -29,15 +32,17 @@ def test_a_policy_of_this_very_task_is_taken(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)
-def test_a_shipped_policy_is_taken_or_refused_as_of_the_older_physics_with_the_remedy(task: str) -> None:
-    if "setting" in MlpPolicyFile.load(asset_path(f"{task}/policy.safetensors")).meta:
-        make_generator("residual", get_task(task))
-        return
+def test_a_policy_is_shipped_for_each_task_as_it_is_now(task: str) -> None:
+    make_generator("residual", get_task(task))
+
+
+def test_a_policy_that_tells_no_setting_is_refused_as_of_the_older_physics_with_the_remedy(tmp_path: Path) -> None:
+    path = policy_with({"task_definition": "0123456789abcdef"}, CAN, tmp_path / "p")
     with pytest.raises(ValueError) as refused:
-        make_generator("residual", get_task(task))
+        make_generator("residual", CAN, policy=path)
     assert str(refused.value) == (
-        f"The shipped policy of {task!r} was trained for another definition of the task (rigid arm, no force reflex), "
-        f"so it is not used. Use --generator planner_only, or train one: dynaforge forge --task {task}."
+        f"{path} was trained for another definition of the task (rigid arm, no force reflex), "
+        "so it is not used. Use --generator planner_only, or train one: dynaforge forge --task can."
     )
 
 

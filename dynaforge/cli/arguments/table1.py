@@ -87,8 +87,8 @@ COMMAND = Command(
     examples=(
         "table1",
         "table1 --task can peach --generators planner_only residual --attempts 50",
-        "table1 --grpo-policies runs/compare --engine ray",
-        "table1 --report-only",
+        "table1 --task all --engine ray",
+        "table1 --sequential",
     ),
     add=add,
     check=check,

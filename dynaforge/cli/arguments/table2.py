@@ -94,7 +94,7 @@ COMMAND = Command(
     examples=(
         "table2 --generator planner_only --task can",
         "table2 --task can bottle --training results/choice --variant failures",
-        "table2 --measured runs/table1/*/*.json --training runs/compare --out results/table2",
+        "table2 --measured runs/evaluate/residual-test.json --training runs/compare --out results/table2",
     ),
     add=add,
     check=check,
