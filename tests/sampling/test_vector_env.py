@@ -442,7 +442,15 @@ class InterruptedPipe:
         return answer
 
 
-def test_ctrl_c_inside_a_message_leaves_no_answer_to_the_wrong_command(make):
+@pytest.fixture
+def ctrl_c():
+    """Ctrl-C raises KeyboardInterrupt, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_inside_a_message_leaves_no_answer_to_the_wrong_command(make, ctrl_c):
     env = make(2)
     env.reset()
     whole = env._pool._pipes[1]
