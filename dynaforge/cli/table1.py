@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 from dynaforge.algos.policy_file import POLICY_FILE
 from dynaforge.cli.arguments.setting import chosen_parts, setting_lines
-from dynaforge.cli.arguments.table1 import GRPO
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.cli.engine import on_ray
 from dynaforge.files.atomic import make_folder
@@ -16,6 +15,7 @@ from dynaforge.generators import Generator
 from dynaforge.generators.by_name import make_generator, setting_line
 from dynaforge.generators.measure import Until, ends_when_decided, never
 from dynaforge.generators.measurements import Measurement
+from dynaforge.generators.names import GRPO
 from dynaforge.generators.pairs import Pair
 from dynaforge.generators.ray_engine import run_attempts_on_ray
 from dynaforge.reports.extras import load_extra

@@ -7,13 +7,15 @@ import time
 from dataclasses import dataclass
 from itertools import product
 
-from dynaforge.cli.arguments.table2 import GRPO, TRAINED
+from dynaforge.cli.arguments.table2 import TRAINED
 from dynaforge.cli.arguments.tasks import chosen_tasks
 from dynaforge.cli.evaluate import generator_of
 from dynaforge.generators import Generator
+from dynaforge.generators.names import GRPO
 from dynaforge.generators.pairs import Pair
 from dynaforge.reports.costs import Missing
 from dynaforge.reports.stored_evaluation import StoredEvaluation, read_evaluations
+from dynaforge.reports.table1_folder import pair_path
 from dynaforge.tasks import Task
 from dynaforge.training.matrix import refuse_links
 from dynaforge.training.training_cost import training_cost
@@ -96,7 +98,7 @@ def _pair(name: str, task: Task, generator: Generator, options: argparse.Namespa
         stream=options.stream,
         blocks=options.seeds,
         attempts=options.attempts,
-        path=options.out / MEASURED / task.name / f"{name}.json",
+        path=pair_path(options.out / MEASURED, name, task.name),
     )
     refuse_links(pair.path, options.out)
     pair.stored()

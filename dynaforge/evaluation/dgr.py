@@ -129,6 +129,7 @@ class DgrReport:
             blocks.setdefault(record.block, []).append(record)
         loads = [getattr(record, "loads", None) for record in records if record.success]
         known = None not in loads
+        borne = [load for load in loads if load is not None] if known else []
         return DgrReport(
             label=label,
             total=_count(records),
@@ -137,8 +138,8 @@ class DgrReport:
             bins=tuple(_count(members) for members in bins),
             failures=failure_counts(records),
             under={name: _bearing(loads, name, len(records)) for name in thresholds} if known else {},
-            peak_forces=_spread([load.peak_force for load in loads if load is not None]) if known and loads else None,
-            lasting_forces=_spread([load.force for load in loads if load is not None]) if known and loads else None,
+            peak_forces=_spread([load.peak_force for load in borne]) if borne else None,
+            lasting_forces=_spread([load.force for load in borne]) if borne else None,
         )
 
     @property

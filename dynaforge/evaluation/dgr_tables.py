@@ -75,10 +75,11 @@ def describe_forces(report: DgrReport) -> str:
         return ""
     rates = ", ".join(f"{name} {count.rate:.1%}" for name, count in report.under.items())
     line = f"{report.label}: success with the reflex {rates}"
-    for words, forces in (("lasting", report.lasting_forces), ("peak", report.peak_forces)):
-        if forces is not None:
+    for name, part in _FORCES.items():
+        if (forces := getattr(report, part)) is not None:
             p50, p90, most = forces
-            line += f"; {words} force of successes {p50:.0f} N (median), {p90:.0f} N (90 %), {most:.0f} N (most)"
+            words = f"{p50:.0f} N (median), {p90:.0f} N (90 %), {most:.0f} N (most)"
+            line += f"; {name.removesuffix(' N')} force of successes {words}"
     return line
 
 

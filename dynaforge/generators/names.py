@@ -20,6 +20,9 @@ GENERATORS = (
 COLLECTING = ("residual", "planner_only", "prediction", "dmp", "replay", "state_machine")
 """Generators for collecting; the oracle knows the outcome beforehand, and exploration is for training."""
 
+GRPO = "grpo"
+"""What tables call the generator "residual" with policies that were trained by vanilla GRPO."""
+
 SETTINGS = {
     "policy": ("residual", "exploring"),
     "lead_time": ("prediction",),

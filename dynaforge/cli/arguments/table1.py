@@ -8,13 +8,11 @@ from dynaforge.cli.arguments.evaluate import NAMED
 from dynaforge.cli.arguments.shared import add_engine, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
+from dynaforge.generators.names import GRPO
 from dynaforge.options.numbers import WholeNumber
 from dynaforge.options.parser import Distinct
 from dynaforge.options.paths import ExistingPath, OutputPath
 from dynaforge.options.words import Choice
-
-GRPO = "grpo"
-"""The row of residual policies that were trained by vanilla GRPO."""
 
 KNOWN = (*NAMED, GRPO)
 DEFAULT = ("state_machine", "dmp", "planner_only", "prediction", GRPO, "residual", "replay")

@@ -8,7 +8,7 @@ from dynaforge.cli.arguments.generators import add_policy, add_replay, check_gen
 from dynaforge.cli.arguments.shared import add_engine, add_stream
 from dynaforge.cli.arguments.tasks import add_task_argument
 from dynaforge.cli.command import Command
-from dynaforge.generators.names import COLLECTING, SETTINGS
+from dynaforge.generators.names import COLLECTING, GRPO, SETTINGS
 from dynaforge.options.numbers import WholeNumber
 from dynaforge.options.parser import Distinct
 from dynaforge.options.paths import ExistingPath, OutputPath
@@ -16,9 +16,6 @@ from dynaforge.options.words import Choice, Text
 
 TASKS = ("can", "bottle", "toycar", "peach", "block")
 """The tasks of the paper's table, `dynaforge.evaluation.costs.PAPER_TASKS`, named where nothing heavy is imported."""
-
-GRPO = "grpo"
-"""The row of `dynaforge table1` with residual policies that were trained by vanilla GRPO."""
 
 TRAINED = (*SETTINGS["policy"], GRPO)
 """What runs a trained policy, so that its training is part of its cost."""
